@@ -1,0 +1,1 @@
+"""Spreading and interpolation between markers and grid."""

@@ -1,0 +1,125 @@
+"""Interpolation of grid velocity to the markers, and its adjoint, spreading."""
+
+import numpy as np
+from petsc4py import PETSc
+
+
+class Stencil:
+    """Which faces a set of markers sees, and with which weights.  Not collective.
+
+    Parameters
+    ----------
+    grid : Grid
+    kernel : Kernel
+    markers : ndarray, shape (M, 2)
+        Positions x, y.
+
+    Attributes
+    ----------
+    u, v : (rows, columns, weights)
+        Integer arrays of shapes (M, r, 1) and (M, 1, c), and weights (M, r, c), of the x-faces
+        and of the y-faces.
+    """
+
+    def __init__(self, grid, kernel, markers):
+        a, _, c, _ = grid.domain
+        x = (markers[:, 0] - a) / grid.dx
+        y = (markers[:, 1] - c) / grid.dy
+        along = (kernel.along, kernel.along_radius)
+        across = (kernel.across, kernel.across_radius)
+        self.u = self._product(self._line(y - 0.5, *across), self._line(x, *along))
+        self.v = self._product(self._line(y, *along), self._line(x - 0.5, *across))
+
+    @staticmethod
+    def _line(position, weight, radius):
+        """Grid lines within `radius` of each position: indices and weights (M, 2 radius)."""
+        first = np.ceil(position - radius).astype(PETSc.IntType)
+        lines = first[:, None] + np.arange(round(2 * radius), dtype=PETSc.IntType)
+        return lines, weight(lines - position[:, None])
+
+    @staticmethod
+    def _product(vertical, horizontal):
+        rows, row_weights = vertical
+        columns, column_weights = horizontal
+        weights = row_weights[:, :, None] * column_weights[:, None, :]
+        return rows[:, :, None], columns[:, None, :], weights
+
+    def csr(self, u_table, v_table, origin=(0, 0)):
+        """Rows (u then v of each marker) of the interpolation matrix.
+
+        Parameters
+        ----------
+        u_table, v_table : ndarray of int
+            Column number of each face, in natural order from row and column `origin` on.
+        origin : (int, int)
+
+        Returns
+        -------
+        (row starts, columns, values)
+        """
+        count = len(self.u[2])
+        columns, values, widths = [], [], []
+        for (rows, cols, weights), table in ((self.u, u_table), (self.v, v_table)):
+            widths.append(weights.shape[1] * weights.shape[2])
+            columns.append(table[rows - origin[0], cols - origin[1]].reshape(count, widths[-1]))
+            values.append(weights.reshape(count, widths[-1]))
+        starts = np.concatenate(([0], np.cumsum(np.tile(widths, count))))
+        return (
+            starts.astype(PETSc.IntType),
+            np.concatenate(columns, axis=1).ravel().astype(PETSc.IntType),
+            np.concatenate(values, axis=1).ravel(),
+        )
+
+
+class Interpolation:
+    """The sparse interpolation matrix J at given marker positions.  Collective.
+
+    Rows 2k and 2k + 1 are the velocity components of marker k; all rows belong to rank 0, the
+    columns follow the grid's layout.  Spreading is (ds / (dx dy)) times the transpose, hence
+    exactly adjoint in the discrete inner products.
+
+    Parameters
+    ----------
+    grid : Grid
+    kernel : Kernel
+    markers : ndarray, shape (M, 2)
+        Positions on rank 0; shape (0, 2) on the other ranks.
+    ds : float
+        Parameter step of the markers.
+    """
+
+    def __init__(self, grid, kernel, markers, ds):
+        self.grid = grid
+        self.markers = markers
+        self.stencil = Stencil(grid, kernel, markers)
+        self.spreading_scale = ds / grid.cell_area
+        faces = grid.velocity_dm.createGlobalVec().getSizes()
+        self.matrix = PETSc.Mat().createAIJ(
+            ((2 * len(markers), PETSc.DETERMINE), faces),
+            csr=self.stencil.csr(grid.u_index, grid.v_index),
+            comm=grid.comm,
+        )
+        self._values = self.matrix.createVecLeft()
+
+    def interpolate(self, velocity):
+        """Velocity U at the markers: (M, 2) on rank 0, (0, 2) elsewhere."""
+        self.matrix.mult(velocity, self._values)
+        return self._values.getArray(readonly=True).reshape(-1, 2).copy()
+
+    def spread_add(self, force, vector, scale=1.0):
+        """Add `scale` times the spread force density to `vector`.
+
+        Parameters
+        ----------
+        force : ndarray, shape (M, 2)
+            Force per unit parameter at the markers, on rank 0; (0, 2) elsewhere.
+        vector : PETSc.Vec
+            Over all faces; force per unit area is added.
+        """
+        self._values.getArray()[:] = (scale * self.spreading_scale) * force.ravel()
+        self.matrix.multTransposeAdd(self._values, vector, vector)
+
+    def destroy(self):
+        """Free the matrix.  Collective; left to Python it would outlive the step."""
+        self.matrix.destroy()
+        self._values.destroy()

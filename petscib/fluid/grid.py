@@ -1,0 +1,148 @@
+"""The staggered grid: where each unknown lies and which PETSc number it has."""
+
+import numpy as np
+from petsc4py import PETSc
+
+
+class Grid:
+    """Uniform marker-and-cell grid of m x n cells on a box, distributed by DMStag.
+
+    Velocity components live on cell faces (u on x-faces, v on y-faces) and the pressure at cell
+    centres.  PETSc numbers unknowns rank by rank; arrays in *natural order* have row index y and
+    column index x whatever the number of ranks.  Collective.
+
+    Parameters
+    ----------
+    cells : (int, int)
+        Cells m, n in x and y.
+    domain : (float, float, float, float)
+        The box (a, b, c, d): a <= x <= b, c <= y <= d.
+    comm : MPI communicator, optional
+        Default PETSC_COMM_WORLD.
+
+    Attributes
+    ----------
+    dm : PETSc.DMStag
+        Layout with dof (0, 1, 1): u, v and p together.
+    velocity_dm, pressure_dm : PETSc.DMStag
+        The same layout with faces only and with cells only.
+    dx, dy : float
+        Cell sizes.
+    u_index : ndarray of int, shape (n, m + 1)
+    v_index : ndarray of int, shape (n + 1, m)
+    p_index : ndarray of int, shape (n, m)
+        PETSc number, in vectors of `velocity_dm` or `pressure_dm`, of each unknown in natural
+        order.  Held by every rank.
+    u_box, v_box, p_box : (slice, slice)
+        Rows and columns of the natural arrays that this rank owns.
+    """
+
+    def __init__(self, cells, domain, comm=None):
+        self.comm = comm or PETSc.COMM_WORLD
+        self.m, self.n = (int(c) for c in cells)
+        self.domain = tuple(float(x) for x in domain)
+        a, b, c, d = self.domain
+        self.dx, self.dy = (b - a) / self.m, (d - c) / self.n
+        self.dm = PETSc.DMStag().create(
+            2,
+            dofs=(0, 1, 1),
+            sizes=(self.m, self.n),
+            boundary_types=(PETSc.DM.BoundaryType.NONE,) * 2,
+            stencil_type=PETSc.DMStag.StencilType.BOX,
+            stencil_width=1,
+            comm=self.comm,
+            setUp=False,
+        )
+        self.dm.setFromOptions()
+        self.dm.setUp()
+        self.velocity_dm = self.dm.createCompatibleDMStag((0, 1, 0))
+        self.pressure_dm = self.dm.createCompatibleDMStag((0, 0, 1))
+        self._number()
+
+    @property
+    def cell_area(self):
+        """Area dx dy of a cell: the weight of a grid point in the discrete inner product."""
+        return self.dx * self.dy
+
+    def _number(self):
+        (x0, y0), (nx, ny), (extra_x, extra_y) = self.dm.getCorners()
+        rows, columns = slice(y0, y0 + ny), slice(x0, x0 + nx)
+        self.p_box = (rows, columns)
+        self.u_box = (rows, slice(x0, x0 + nx + extra_x))
+        self.v_box = (slice(y0, y0 + ny + extra_y), columns)
+        where = PETSc.DMStag.StencilLocation
+        self.u_index = self._table(self.velocity_dm, where.LEFT, self.u_box, (self.n, self.m + 1))
+        self.v_index = self._table(self.velocity_dm, where.DOWN, self.v_box, (self.n + 1, self.m))
+        self.p_index = self._table(self.pressure_dm, where.ELEMENT, self.p_box, (self.n, self.m))
+
+    def _table(self, dm, location, box, shape):
+        """Gather the PETSc numbers of one kind of unknown into natural order on every rank."""
+        (gx, gy), (width, height) = dm.getGhostCorners()
+        local = dm.getLGMap().indices.reshape(height, width, dm.getEntriesPerElement())
+        slot = dm.getLocationSlot(location, 0)
+        rows, columns = box
+        mine = local[rows.start - gy : rows.stop - gy, columns.start - gx : columns.stop - gx, slot]
+        table = np.empty(shape, dtype=PETSc.IntType)
+        for (r, c), part in self.comm.tompi4py().allgather((box, mine)):
+            table[r, c] = part
+        return table
+
+    def velocity_vector(self):
+        """New zero vector over all faces."""
+        return self.velocity_dm.createGlobalVec()
+
+    def pressure_vector(self):
+        """New zero vector over all cells."""
+        return self.pressure_dm.createGlobalVec()
+
+    def u_points(self, box=(slice(None), slice(None))):
+        """Coordinates x (1, columns) and y (rows, 1) of the x-faces in `box`."""
+        a, _, c, _ = self.domain
+        x = a + np.arange(self.m + 1) * self.dx
+        y = c + (np.arange(self.n) + 0.5) * self.dy
+        return x[None, box[1]], y[box[0], None]
+
+    def v_points(self, box=(slice(None), slice(None))):
+        """Coordinates x (1, columns) and y (rows, 1) of the y-faces in `box`."""
+        a, _, c, _ = self.domain
+        x = a + (np.arange(self.m) + 0.5) * self.dx
+        y = c + np.arange(self.n + 1) * self.dy
+        return x[None, box[1]], y[box[0], None]
+
+    def p_points(self, box=(slice(None), slice(None))):
+        """Coordinates x (1, columns) and y (rows, 1) of the cell centres in `box`."""
+        a, _, c, _ = self.domain
+        x = a + (np.arange(self.m) + 0.5) * self.dx
+        y = c + (np.arange(self.n) + 0.5) * self.dy
+        return x[None, box[1]], y[box[0], None]
+
+    def local_positions(self, index, box, vector):
+        """Positions in this rank's part of `vector` of the natural entries in `box`.
+
+        Returns an integer array of the shape of the box.  Not collective.
+        """
+        return index[box] - vector.getOwnershipRange()[0]
+
+    def velocity_blocks(self, vector):
+        """Copies of this rank's parts of u and v in natural order (shapes of u_box, v_box)."""
+        values = vector.getArray(readonly=True)
+        return (
+            values[self.local_positions(self.u_index, self.u_box, vector)],
+            values[self.local_positions(self.v_index, self.v_box, vector)],
+        )
+
+    def pressure_block(self, vector):
+        """Copy of this rank's part of p in natural order (shape of p_box)."""
+        return vector.getArray(readonly=True)[
+            self.local_positions(self.p_index, self.p_box, vector)
+        ]
+
+    def set_velocity(self, vector, u, v):
+        """Set this rank's entries from natural blocks u, v of the shapes of u_box, v_box."""
+        values = vector.getArray()
+        values[self.local_positions(self.u_index, self.u_box, vector)] = u
+        values[self.local_positions(self.v_index, self.v_box, vector)] = v
+
+    def set_pressure(self, vector, p):
+        """Set this rank's entries from a natural block p of the shape of p_box."""
+        vector.getArray()[self.local_positions(self.p_index, self.p_box, vector)] = p

@@ -1,0 +1,1 @@
+"""The membrane: marker shapes, geometry and forces."""

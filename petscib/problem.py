@@ -1,0 +1,122 @@
+"""What is simulated: the fluid, its walls, the membrane; and the state that moves in time."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from petsc4py import PETSc
+
+from .coupling.interpolation import Interpolation
+from .membrane import geometry
+
+
+@dataclass
+class State:
+    """The state at one time level.
+
+    Attributes
+    ----------
+    step : int
+    time : float
+    velocity : PETSc.Vec
+        Over all faces, wall faces included.
+    pressure : PETSc.Vec
+        Over all cells, mean zero.
+    markers : ndarray, shape (M, 2)
+        Positions on rank 0; (0, 2) elsewhere.
+    stretch : ndarray, shape (M,)
+        Stretching |X_s| that the next step starts from, at the half points; rank 0.
+    """
+
+    step: int
+    time: float
+    velocity: PETSc.Vec
+    pressure: PETSc.Vec
+    markers: np.ndarray
+    stretch: np.ndarray
+
+
+@dataclass
+class Step:
+    """What a time step did, for diagnostics and the energy ledger.
+
+    Attributes
+    ----------
+    dt, theta : float
+        Time step, and where in it the stage lies (1: its end, 1/2: its middle).
+    start, end : State
+        The end has new vectors and arrays; those of the start are untouched.
+    stage : PETSc.Vec
+        Velocity theta u* + (1 - theta) u^n that the implicit forces saw.
+    projection : PETSc.Vec or None
+        Pressure increment phi of a projection scheme.
+    stretch_rate : ndarray, shape (M,)
+        Surface divergence of the stage velocity along the step's tangent.
+    marker_velocity : ndarray, shape (M, 2)
+        The stage velocity at the markers.
+    iterations : dict
+        Linear and nonlinear iterations by solver.
+    """
+
+    dt: float
+    theta: float
+    start: State
+    end: State
+    stage: PETSc.Vec
+    projection: PETSc.Vec = None
+    stretch_rate: np.ndarray = None
+    marker_velocity: np.ndarray = None
+    iterations: dict = field(default_factory=dict)
+
+    def discard(self):
+        """Free the vectors that only this step and its start hold.  Collective."""
+        for vector in (self.start.velocity, self.start.pressure, self.stage, self.projection):
+            if vector is not None:
+                vector.destroy()
+
+
+class Problem:
+    """All that is constant in time, and the pieces of the equations that schemes share.
+
+    Parameters
+    ----------
+    grid : Grid
+    operators : Operators
+    rho, mu : float
+        Density and viscosity.
+    membrane : Membrane or None
+        None: fluid alone.
+    kernel : Kernel
+        Smoothed delta function.
+    evolve : bool
+        Keep the stretching as a variable of its own (Hu & Lai, eq. 3.7) instead of taking it
+        from the markers at each step.
+    """
+
+    def __init__(self, grid, operators, rho, mu, membrane=None, kernel=None, evolve=False):
+        self.grid = grid
+        self.operators = operators
+        self.rho, self.mu = rho, mu
+        self.membrane = membrane
+        self.kernel = kernel
+        self.evolve = evolve
+
+    def interpolation(self, markers):
+        """The matrix J at these marker positions, or None without a membrane.  Collective."""
+        if self.membrane is None:
+            return None
+        return Interpolation(self.grid, self.kernel, markers, self.membrane.ds)
+
+    def fluid_rhs(self, velocity, interval, rhs):
+        """Set rhs = rho / (theta dt) u^n + mu (walls' part of the Laplacian)."""
+        velocity.copy(rhs)
+        rhs.scale(self.rho / interval)
+        if self.operators.wall_source is not None:
+            rhs.axpy(self.mu, self.operators.wall_source)
+
+    def next_stretch(self, stretch, stretch_rate, dt, markers):
+        """The stretching to carry on with: evolved, or that of the new markers."""
+        if self.membrane is None:
+            return stretch
+        if self.evolve:
+            return stretch + dt * stretch_rate
+        return geometry.stretching(markers, self.membrane.ds)
