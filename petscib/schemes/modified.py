@@ -1,0 +1,85 @@
+"""The modified schemes: stretching advanced by the intermediate velocity, then projection."""
+
+from ..membrane import geometry
+from ..problem import State, Step
+from ..solvers.momentum import MomentumSolver
+from .projection import Projection
+
+
+class Modified:
+    """Modified backward Euler and Crank-Nicolson (Hu & Lai, eqs. 3.19-3.24 and 3.25-3.30).
+
+    Both solve for the stage velocity w = theta u* + (1 - theta) u^n, which makes the second the
+    implicit midpoint rule with the matrix of the first for half the time step.
+
+    Parameters
+    ----------
+    problem : Problem
+    theta : float
+        1 for backward Euler, 1/2 for Crank-Nicolson.
+    """
+
+    advice = "try a smaller -ts_dt"
+
+    def __init__(self, problem, theta):
+        self.problem = problem
+        self.theta = theta
+        self.momentum = MomentumSolver(
+            problem.operators, problem.rho, problem.mu, membrane=problem.membrane is not None
+        )
+        self.projection = Projection(problem, theta)
+        self._rhs = problem.grid.velocity_vector()
+
+    def step(self, state, dt):
+        """Take one step from `state`.  Collective.  Returns a Step."""
+        problem, membrane, theta = self.problem, self.problem.membrane, self.theta
+        interval = theta * dt
+        interpolation = problem.interpolation(state.markers)
+
+        # rho (w - u^n) / (theta dt) = mu Laplacian w + F[force^n - theta dt W J w]
+        problem.fluid_rhs(state.velocity, interval, self._rhs)
+        if membrane:
+            tangent = geometry.unit_tangent(state.markers, membrane.ds)
+            self.momentum.update(interval, interpolation, membrane.stiffness(tangent))
+            force = membrane.force(state.markers, state.stretch, tangent)
+            interpolation.spread_add(force, self._rhs)
+        else:
+            self.momentum.update(interval)
+        stage = state.velocity.copy()
+        momentum_iterations = self.momentum.solve(self._rhs, stage)
+
+        # u* = u^n + (w - u^n) / theta, made divergence-free
+        intermediate = stage.copy()
+        intermediate.axpby(1 - 1 / theta, 1 / theta, state.velocity)
+        velocity, pressure, phi, poisson_iterations = self.projection.apply(
+            intermediate, dt, state.pressure
+        )
+
+        # X^{n+1} = X^n + dt J (theta u^{n+1} + (1 - theta) u^n)
+        markers, stretch, stage_velocity, rate = state.markers, state.stretch, None, None
+        if membrane:
+            stage_velocity = interpolation.interpolate(stage)
+            rate = geometry.surface_divergence(stage_velocity, tangent, membrane.ds)
+            step_velocity = theta * interpolation.interpolate(velocity)
+            if theta < 1:
+                step_velocity += (1 - theta) * interpolation.interpolate(state.velocity)
+            markers = state.markers + dt * step_velocity
+            stretch = problem.next_stretch(state.stretch, rate, dt, markers)
+            interpolation.destroy()
+        end = State(state.step + 1, state.time + dt, velocity, pressure, markers, stretch)
+        return Step(
+            dt,
+            theta,
+            state,
+            end,
+            stage,
+            phi,
+            rate,
+            stage_velocity,
+            {"momentum": momentum_iterations, "poisson": poisson_iterations},
+        )
+
+    def destroy(self):
+        """Free the solvers."""
+        self.momentum.destroy()
+        self.projection.destroy()

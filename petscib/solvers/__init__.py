@@ -1,0 +1,1 @@
+"""Linear solvers: momentum, pressure Poisson, coupled, and their preconditioners."""

@@ -1,0 +1,56 @@
+"""Krylov solvers by option prefix, with defaults that the user's options override."""
+
+from petsc4py import PETSc
+
+from ..errors import SolveError
+
+_REASONS = {
+    value: name
+    for name, value in vars(PETSc.KSP.ConvergedReason).items()
+    if isinstance(value, int) and name.startswith("DIVERGED")
+}
+
+
+def set_defaults(prefix, defaults):
+    """Enter options under `prefix` unless the user has given them."""
+    options = PETSc.Options(prefix)
+    for name, value in defaults.items():
+        if not options.hasName(name):
+            options[name] = value
+
+
+def create(matrix, prefix, defaults, preconditioning_matrix=None):
+    """New KSP on the matrix's communicator, set from the options under `prefix`.
+
+    Collective on the matrix.
+    """
+    set_defaults(prefix, defaults)
+    ksp = PETSc.KSP().create(comm=matrix.comm)
+    ksp.setOptionsPrefix(prefix)
+    ksp.setOperators(matrix, preconditioning_matrix or matrix)
+    ksp.setFromOptions()
+    return ksp
+
+
+def reason_name(ksp):
+    """Name of the reason why a solve failed, such as DIVERGED_MAX_IT."""
+    reason = ksp.getConvergedReason()
+    return _REASONS.get(reason, f"reason {reason}")
+
+
+def check(ksp, what, advice):
+    """Raise SolveError on every rank when the last solve did not converge.
+
+    Parameters
+    ----------
+    ksp : PETSc.KSP
+    what : str
+        Which solve it was, for the message.
+    advice : str
+        What the user can try.
+    """
+    if ksp.getConvergedReason() < 0:
+        raise SolveError(
+            f"{what} solve failed: {reason_name(ksp)} after {ksp.getIterationNumber()} "
+            f"iterations; {advice}"
+        )
