@@ -1,0 +1,449 @@
+"""The options: one table, from which validation, ``-help`` and the README's table come.
+
+`read` turns PETSc's option database, as text, into a frozen `Settings`. A value given by the user
+wins over the scene's, and that over the table's default. This module needs neither PETSc nor MPI.
+"""
+
+import difflib
+import math
+import re
+import textwrap
+from dataclasses import dataclass
+from typing import Any, Tuple
+
+from petscib import scenes
+from petscib.coupling.kernels import KERNELS
+from petscib.errors import InputError
+from petscib.settings import Settings, check, check_domain, resolve, text_of
+
+LARGEST_INTEGER = 2**31 - 1  # PETSc's integers have 32 bits unless it was built otherwise
+
+# --- kinds of values: each parses a text (ValueError says what is wrong) and says what it allows
+
+
+@dataclass(frozen=True)
+class Number:
+    """A finite number in a range."""
+
+    low: float = -math.inf
+    high: float = math.inf
+    open_low: bool = False
+    open_high: bool = False
+    symbol: str = "X"
+    noun = "number"
+    pattern = r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"
+
+    @property
+    def allowed(self):
+        bounds = []
+        if math.isfinite(self.low):
+            bounds.append(("above " if self.open_low else "from ") + text_of(self.low))
+        if math.isfinite(self.high) and self.high != LARGEST_INTEGER:
+            bounds.append(("and below " if self.open_high else "to ") + text_of(self.high))
+        return " ".join([self.noun, *bounds])
+
+    def parse(self, text):
+        # float() and int() also take "1_000" and foreign digits, which no one means.
+        if not re.fullmatch(self.pattern, text, re.ASCII):
+            raise ValueError(f"not a {self.noun}")
+        value = self.convert(text)
+        if not math.isfinite(value):
+            raise ValueError("too large")
+        below = value <= self.low if self.open_low else value < self.low
+        above = value >= self.high if self.open_high else value > self.high
+        if below or above:
+            raise ValueError("out of range")
+        return value
+
+    def convert(self, text):
+        return float(text)
+
+
+@dataclass(frozen=True)
+class Whole(Number):
+    """A whole number in a range."""
+
+    low: int = 0
+    high: int = LARGEST_INTEGER
+    symbol: str = "N"
+    noun = "whole number"
+    pattern = r"[+-]?\d{1,18}"
+
+    def convert(self, text):
+        return int(text)
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """A comma list of numbers, one for each of the names."""
+
+    names: Tuple[str, ...]
+    each: Number = Number()
+
+    @property
+    def symbol(self):
+        return ",".join(self.names)
+
+    @property
+    def allowed(self):
+        return f"{self.symbol}, each a {self.each.allowed}"
+
+    def parse(self, text):
+        parts = text.split(",")
+        if len(parts) != len(self.names):
+            raise ValueError(f"not {len(self.names)} values with commas between (and no blanks)")
+        return tuple(self.each.parse(part) for part in parts)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One of several names, in any case, as PETSc reads its own."""
+
+    names: Tuple[str, ...]
+    symbol: str = "NAME"
+
+    @property
+    def allowed(self):
+        return ", ".join(self.names)
+
+    def parse(self, text):
+        if text.lower() not in self.names:
+            raise ValueError("no such choice")
+        return text.lower()
+
+
+@dataclass(frozen=True)
+class Flag:
+    """A switch in PETSc's spellings; the option alone means true."""
+
+    symbol: str = "[true]"
+    allowed = "true/false, yes/no, on/off, 1/0"
+
+    def parse(self, text):
+        if text.lower() in ("", "true", "yes", "on", "1"):
+            return True
+        if text.lower() in ("false", "no", "off", "0"):
+            return False
+        raise ValueError("not a switch's value")
+
+
+@dataclass(frozen=True)
+class Path:
+    """A file or directory name."""
+
+    symbol: str = "PATH"
+    allowed = "a path"
+
+    def parse(self, text):
+        return text
+
+
+@dataclass(frozen=True)
+class Option:
+    """One row of the table.
+
+    `default` is a typed value; `automatic` says in words what an unset default (or 0) leads to.
+    """
+
+    name: str
+    kind: Any
+    default: Any
+    group: str
+    help: str
+    unit: str = ""
+    automatic: str = ""
+
+    @property
+    def default_text(self):
+        return self.automatic or text_of(self.default)
+
+
+# --- the table
+
+RUN, FLUID, SHAPE, MEMBRANE, TIME, OUTPUT = GROUPS = (
+    "Run", "Fluid and background flow", "Shape of the vesicle", "Membrane", "Scheme and time",
+    "Results")
+
+ANY, POSITIVE, NOT_NEGATIVE = Number(), Number(0, open_low=True), Number(0)
+FRACTION = Number(0, 1, open_low=True, open_high=True)
+CELLS = Whole(8, 2**15)
+SCHEMES = "ep", "mbe", "mcn", "be", "cn", "gbe", "gcn"
+
+_ROWS = (
+    Option("scene", Choice(tuple(scenes.SCENES)), scenes.DEFAULT, RUN,
+           "named set of defaults; `-scene list` prints them all"),
+    Option("fft", Flag(), False, RUN, "fast direct solvers (transforms) under all solves"),
+    Option("picard_rtol", FRACTION, 1e-9, RUN, "gbe, gcn: tolerance of the tangent iteration"),
+    Option("picard_max_it", Whole(1, 10000), 50, RUN, "gbe, gcn: most tangent iterations a step"),
+    Option("ledger", Flag(), False, RUN, "end the run when the energy ledger does not balance"),
+    Option("ledger_tol", FRACTION, 1e-6, RUN,
+           "largest ledger residual, relative to the largest energy so far"),
+    Option("restart", Path(), None, RUN, "checkpoint to continue from", automatic="none"),
+
+    Option("stag_grid_x", CELLS, 64, FLUID, "cells across"),
+    Option("stag_grid_y", CELLS, None, FLUID, "cells up; when only one of the two is given, the "
+           "other makes the cells square", automatic="square cells"),
+    Option("domain", Numbers(("a", "b", "c", "d"), Number(-1e9, 1e9)), (-1.0, 1.0, -1.0, 1.0),
+           FLUID, "box a <= x <= b, c <= y <= d", "length"),
+    Option("rho", POSITIVE, 1.0, FLUID, "density", "mass/area"),
+    Option("mu", POSITIVE, 1.0, FLUID, "viscosity", "mass/time"),
+    Option("flow", Choice(("rest", "shear", "extensional", "poiseuille")), "rest", FLUID,
+           "background flow: on the walls, and at the start"),
+    Option("shear_rate", ANY, 1.0, FLUID, "rate of the background flow (0 at rest)", "1/time"),
+
+    Option("vesicles", Whole(0, 1), 1, SHAPE, "number of vesicles"),
+    Option("axes", Numbers(("rx", "ry"), POSITIVE), (0.1, 0.5), SHAPE,
+           "half axes of the ellipse (rx sin s, ry cos s)", "length"),
+    Option("center", Numbers(("x", "y")), (0.0, 0.0), SHAPE, "its centre", "length"),
+    Option("angle", Number(-360, 360), 0.0, SHAPE, "its rotation, counter-clockwise", "degrees"),
+    Option("markers", Whole(0, 10**7), 0, SHAPE, "markers, equally spaced in arclength; 0: by "
+           "the grid", automatic="0: spacing h/2"),
+    Option("marker_file", Path(), None, SHAPE, "closed curve to use instead of the ellipse",
+           automatic="none"),
+
+    Option("sigma0", NOT_NEGATIVE, 1e5, MEMBRANE, "tension stiffness", "force"),
+    Option("bending", NOT_NEGATIVE, 0.01, MEMBRANE, "bending rigidity", "force length^2"),
+    Option("rest_length", POSITIVE, None, MEMBRANE,
+           "elastic membrane: stretching without tension, where the start has 1",
+           automatic="the initial stretching"),
+    Option("delta", Choice(tuple(KERNELS)), "yang", MEMBRANE,
+           "smoothed delta function between markers and grid"),
+    Option("stretch", Choice(("recompute", "evolve")), "recompute", MEMBRANE,
+           "stretching from the markers at each step, or as a variable of its own"),
+
+    Option("scheme", Choice(SCHEMES), "mbe", TIME,
+           "explicit (ep), modified (mbe, mcn), coupled (be, cn), geometric (gbe, gcn)"),
+    Option("startup", Whole(0, 1000), None, TIME,
+           "first steps taken as two backward Euler half steps", automatic="1 for gcn, else 0"),
+    Option("ts_dt", POSITIVE, None, TIME, "time step; h = min(dx, dy)", "time",
+           automatic="the scene's multiple of h"),
+    Option("ts_max_time", POSITIVE, 1.0, TIME, "end time", "time"),
+    Option("ts_max_steps", Whole(), None, TIME, "most steps", automatic="no limit"),
+    Option("ts_adapt", Flag(), False, TIME, "choose the time step by itself"),
+
+    Option("output", Path(), None, OUTPUT, "directory of the results", automatic="out/SCENE"),
+    Option("monitor", Choice(("none", "bar", "log")), None, OUTPUT, "progress on the screen",
+           automatic="bar on a terminal, else log"),
+    Option("diagnostics_every", Whole(1), 1, OUTPUT, "steps between rows of diagnostics.csv"),
+    Option("outline_every", Whole(0), 0, OUTPUT, "steps between outlines; 0: by the run's length",
+           automatic="0: about 100 a run"),
+    Option("plot", Flag(), True, OUTPUT, "draw pictures at the end"),
+    Option("xdmf_every", Whole(0), 0, OUTPUT, "steps between fields for ParaView; 0: none"),
+    Option("checkpoint_every", Whole(0), 0, OUTPUT, "steps between checkpoints; 0: none"),
+    Option("checkpoint_minutes", NOT_NEGATIVE, 0.0, OUTPUT,
+           "wall time between checkpoints; 0: none", "minutes"),
+    Option("checkpoint_keep", Whole(1), 2, OUTPUT, "how many checkpoints stay"),
+)
+
+TABLE = {option.name: option for option in _ROWS}
+
+# --- what is PETSc's business
+
+SOLVERS = (
+    ("momentum_", "implicit velocity of ep, mbe, mcn (CG)"),
+    ("momentum_tube_", "its direct solve near the membrane"),
+    ("momentum_outer_", "its solve on the whole grid with the plain viscous operator"),
+    ("poisson_", "pressure projection (CG)"),
+    ("coupled_", "velocity and pressure together, be, cn, gbe, gcn (FGMRES)"),
+    ("coupled_tube_", "its direct solve near the membrane"),
+    ("coupled_outer_velocity_", "its velocity solve on the whole grid"),
+    ("coupled_outer_poisson_", "its pressure solve on the whole grid"),
+)
+_SOLVER_WORDS = "momentum", "poisson", "coupled"
+
+# Options every PETSc program understands. Names that PETSc would read but that act on nothing
+# here (ksp_, pc_, ts_, snes_ without a prefix) are left out on purpose: they would be ignored.
+_PETSC_NAMES = (
+    "help", "version", "citations", "history", "display", "nox", "nox_warning", "tmp",
+    "shared_tmp", "not_shared_tmp", "info", "info_exclude", "malloc", "fp_trap", "python",
+    "objects_dump", "get_total_flops", "no_signal_handler", "options_file", "options_file_yaml",
+    "options_string_yaml", "options_left", "options_view", "options_monitor",
+    "options_monitor_cancel", "options_suppress_deprecated_warnings", "prefix_push",
+    "prefix_pop", "skip_petscrc", "start_in_debugger", "stop_for_debugger", "debug_terminal",
+    "check_pointer_intensity", "checkfunctionlist", "error_output_none", "error_output_stdout",
+    "library_preload", "default_device_type", "build_twosided", "splitreduction_async",
+    "blas_num_threads", "stag_ranks_x", "stag_ranks_y",
+)
+_PETSC_FAMILIES = (
+    "log_", "malloc_", "memory_", "mat_", "matmatmult_", "matptap_", "matrart_", "vec_", "dm_",
+    "sf_", "is_", "ao_", "petsc_", "petscsf_", "petscsection_", "viewer_", "draw_", "x_",
+    "random_", "on_error_", "debugger_", "mpi_", "mpidump", "use_gpu_", "device_",
+    "root_device_context_", "cuda_", "hip_", "sycl_", "kokkos_", "omp_", "dll_", "saws_",
+    "vecscatter_",
+)
+
+
+def is_petsc(name):
+    """Whether an option is PETSc's to read: a solver's prefix, or a general PETSc option."""
+    solver = any(name.startswith(word + "_") and len(name) > len(word) + 1
+                 for word in _SOLVER_WORDS)
+    return solver or name in _PETSC_NAMES or name.startswith(_PETSC_FAMILIES)
+
+
+# --- reading
+
+
+def read(database):
+    """The settings asked for.
+
+    Parameters
+    ----------
+    database : mapping of str to str or None
+        PETSc's option database: name without the dash, in any case, to text; None or '' for an
+        option without a value. The same on all ranks.
+
+    Returns
+    -------
+    Settings
+
+    Raises
+    ------
+    InputError
+        For an option that is nobody's, a bad value, or options that contradict each other.
+    """
+    given = {}
+    for name, text in database.items():
+        if name.lower() in TABLE:
+            given[name.lower()] = _value(TABLE[name.lower()], text or "")
+        elif not is_petsc(name.lower()):
+            raise InputError(_unknown(name, text or ""))
+    scene = scenes.SCENES[given.get("scene", scenes.DEFAULT)]
+    values = {option.name: option.default for option in _ROWS}
+    values.update(scene.settings, scene=scene.name)
+    values.update(given)
+    check_domain(values["domain"])
+    resolve(values, set(given), scene.dt_over_h)
+    settings = Settings(values, given)
+    for name in ("stag_grid_x", "stag_grid_y"):  # one of them may follow from the other
+        _value(TABLE[name], text_of(getattr(settings, name)))
+    check(settings, [option.name for option in _ROWS if option.group in (SHAPE, MEMBRANE)
+                     and option.name not in ("delta", "stretch")])
+    return settings
+
+
+def information(database):
+    """The text that ``-help`` or ``-scene list`` asks for, or None when neither is given."""
+    asked = {name.lstrip("-").lower(): (text or "").lower() for name, text in database.items()}
+    if "help" in asked:
+        return help_text()
+    return scenes.listing() if asked.get("scene") == "list" else None
+
+
+def reject_stray_words(arguments):
+    """Refuse words that PETSc would silently drop: values cut by blanks, and words on their own.
+
+    Parameters
+    ----------
+    arguments : list of str
+        The command line without the program's name.
+
+    Raises
+    ------
+    InputError
+    """
+    words = []  # the option at hand and the values after it
+    for word in arguments:
+        words = [word] if re.match(r"--?[A-Za-z]", word) else [*words, word]
+        name = words[0].lstrip("-").lower()
+        ours = name in TABLE
+        if len(words) > 2 or not words[0].startswith("-") or (ours and len(word.split()) > 1):
+            allowed = TABLE[name].kind.allowed if ours else "-name value"
+            raise InputError(f"{_short(' '.join(words))}: one value without blanks may follow "
+                             f"an option; allowed: {allowed}")
+
+
+def _value(option, text):
+    try:
+        if text == "" and not isinstance(option.kind, Flag):
+            raise ValueError("needs a value")
+        return option.kind.parse(text)
+    except ValueError as error:
+        names = option.kind.names if isinstance(option.kind, Choice) else ()
+        near = difflib.get_close_matches(text.lower(), names, 1)
+        raise InputError(f"-{option.name} {_short(text)}".rstrip()
+                         + f": {error}; allowed: {option.kind.allowed}"
+                         + (f"; nearest: {near[0]}" if near else "")) from None
+
+
+def _unknown(name, text):
+    near = _nearest(name.lstrip("-").lower())
+    return (f"-{_short(name)} {_short(text)}".rstrip() + ": unknown option"
+            + "; allowed: those of -help, and PETSc's own"
+            + (f"; nearest: -{near}" if near else ""))
+
+
+def _nearest(name):
+    """The known option most like an unknown one, or None."""
+    word, _, rest = name.partition("_")
+    if word in ("ksp", "pc"):
+        return "momentum_" + name  # every solve here has a prefix
+    for solver in _SOLVER_WORDS:
+        if name.startswith(solver) and len(word) > len(solver):
+            return f"{solver}_{name[len(solver):]}"
+    solver = difflib.get_close_matches(word, _SOLVER_WORDS, 1, 0.75)
+    if solver and rest:
+        return f"{solver[0]}_{rest}"
+    # An option is also known by its name without PETSc's prefix: -dt for -ts_dt.
+    known = {option: option for option in (*_PETSC_NAMES, *TABLE)}
+    known.update({re.sub("^(ts|stag)_", "", option): option for option in TABLE})
+    near = difflib.get_close_matches(name, known, 1, 0.65)
+    return known[near[0]] if near else None
+
+
+def _short(text, longest=60):
+    return text if len(text) <= longest else text[:longest - 3] + "..."
+
+
+# --- showing the table
+
+
+def help_text():
+    """The text of ``-help``: every option by group, at most 100 columns."""
+    lines = ["petscib: vesicles in viscous flow by an energy stable immersed boundary method.",
+             "Usage: [mpiexec -n RANKS] python -m petscib [-option value ...]",
+             "Scenes set other defaults than those below (-scene list).",
+             f"Switches take {Flag.allowed}; alone they mean true."]
+    for group in GROUPS:
+        lines += ["", group]
+        for option in _ROWS:
+            if option.group == group:
+                unit = f" [{option.unit}]" if option.unit else ""
+                plain = isinstance(option.kind, (Flag, Path))
+                allowed = "" if plain else f"{option.kind.allowed}; "
+                lines += _entry(f"-{option.name} {option.kind.symbol}",
+                                f"{option.help}{unit} ({allowed}default: {option.default_text})")
+    lines += ["", "Solvers: PETSc's ksp_ and pc_ options behind each prefix, as in "
+              "-momentum_ksp_rtol 1e-8"]
+    for prefix, text in SOLVERS:
+        lines += _entry(f"-{prefix}*", text)
+    lines += ["", "PETSc"]
+    for name, text in (
+            ("-options_file PATH", "read options from a file, one `-name value` a line"),
+            ("-options_file_yaml PATH", "the same from a YAML file"),
+            ("PETSC_OPTIONS", "environment variable with more options"),
+            ("-log_view", "time and messages of each part, at the end"),
+            ("-options_left", "options that nothing has read"),
+            ("-help", "this text")):
+        lines += _entry(name, text)
+    return "\n".join(lines) + "\n"
+
+
+def markdown_table():
+    """The table for the README, in Markdown."""
+    lines = []
+    for group in GROUPS:
+        lines += [f"**{group}**", "", "| option | meaning | allowed | default | unit |",
+                  "| --- | --- | --- | --- | --- |"]
+        lines += [f"| `-{option.name}` | {option.help} | {option.kind.allowed} | "
+                  f"{option.default_text} | {option.unit} |"
+                  for option in _ROWS if option.group == group]
+        lines.append("")
+    return "\n".join(lines)
+
+
+def _entry(name, text, column=28, width=100):
+    """Lines of one help entry: the name, then the text wrapped in its column."""
+    wrapped = textwrap.wrap(text, width - column, break_on_hyphens=False)
+    first = f"  {name}"
+    lines = [first] if len(first) >= column else [first.ljust(column) + wrapped.pop(0)]
+    return lines + [" " * column + line for line in wrapped]

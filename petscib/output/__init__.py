@@ -1,0 +1,1 @@
+"""What a run leaves behind: tables, checkpoints, pictures and the progress shown on the way."""

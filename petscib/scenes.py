@@ -1,0 +1,98 @@
+"""The scenes: named sets of option defaults, one declaration each.
+
+A scene is chosen by ``-scene NAME``; options given by the user win over it. To add one, add a
+`Scene` to the tuple below: ``-scene list``, ``-help`` and the checks follow by themselves.
+"""
+
+import textwrap
+from dataclasses import dataclass
+from typing import Any, Mapping
+
+from petscib.settings import text_of
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A named set of option defaults.
+
+    Parameters
+    ----------
+    name : str
+        What ``-scene`` takes.
+    summary : str
+        One line for ``-scene list``.
+    settings : mapping of str to value
+        Option name to typed value; every name must be in the option table.
+    dt_over_h : float
+        The time step when ``-ts_dt`` is not given, in units of h = min(dx, dy), so that refining
+        the grid refines the time step too.
+    """
+
+    name: str
+    summary: str
+    settings: Mapping[str, Any]
+    dt_over_h: float = 1.0
+
+
+_SCENES = (
+    Scene(
+        "tanktreading",
+        "a thin vesicle turns its membrane in shear flow (Hu & Lai, section 4.3)",
+        dict(flow="shear", shear_rate=1.0, axes=(0.1, 0.5), sigma0=1e5, bending=0.01,
+             ts_max_time=10.0),
+    ),
+    Scene(
+        "relaxation",
+        "an elliptical vesicle relaxes in fluid at rest (Hu & Lai, section 4.1)",
+        dict(flow="rest", axes=(0.2, 0.5), sigma0=1e5, bending=0.01, ts_max_time=0.125),
+        dt_over_h=0.25,
+    ),
+    Scene(
+        "stiff",
+        "a nearly inextensible thin vesicle in fluid at rest (Hu & Lai, section 4.2)",
+        dict(flow="rest", axes=(0.1, 0.5), sigma0=1e9, bending=0.01, ts_max_time=1.0),
+    ),
+    Scene(
+        "elastic",
+        "a stretched elastic membrane contracts to a circle in fluid at rest",
+        dict(flow="rest", axes=(0.3, 0.5), sigma0=10.0, bending=0.0, rest_length=0.5,
+             ts_max_time=1.0),
+        dt_over_h=0.25,
+    ),
+    Scene(
+        "extension",
+        "a vesicle is drawn out along x by an extensional flow",
+        dict(flow="extensional", shear_rate=1.0, axes=(0.4, 0.25), sigma0=1e5, bending=0.01,
+             ts_max_time=2.0),
+    ),
+    Scene(
+        "poiseuille",
+        "an off-centre vesicle is carried along a channel",
+        dict(flow="poiseuille", shear_rate=1.0, domain=(-1.0, 3.0, -1.0, 1.0),
+             stag_grid_x=128, axes=(0.2, 0.3), center=(-0.4, 0.3), sigma0=1e5, bending=0.01,
+             ts_max_time=1.5),
+    ),
+    Scene(
+        "driven",
+        "Poiseuille flow without a vesicle: a steady state that every scheme must keep",
+        dict(flow="poiseuille", shear_rate=1.0, vesicles=0, ts_max_time=1.0),
+    ),
+)
+
+SCENES = {scene.name: scene for scene in _SCENES}
+DEFAULT = _SCENES[0].name
+
+
+def listing():
+    """The text of ``-scene list``: every scene with its settings as options, 100 columns."""
+    blocks = ["Scenes (-scene NAME); options given on the command line win over a scene's.\n"]
+    for scene in _SCENES:
+        options = [f"-{name} {text_of(value)}" for name, value in scene.settings.items()]
+        mark = " (default)" if scene.name == DEFAULT else ""
+        # A blank inside one option must not be a place to break the line.
+        wrapped = textwrap.fill("  ".join(option.replace(" ", "\0") for option in options), 100,
+                                initial_indent="    ", subsequent_indent="    ",
+                                break_long_words=False, break_on_hyphens=False)
+        blocks.append(f"{scene.name}{mark}: {scene.summary}\n" + wrapped.replace("\0", " ")
+                      + f"\n    time step, unless -ts_dt is given: {scene.dt_over_h:g} h\n")
+    return "\n".join(blocks)

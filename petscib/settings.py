@@ -1,0 +1,219 @@
+"""The frozen record of option values, and what must hold between them.
+
+`petscib.options` declares the options and judges each value by itself; here are the values that
+follow from others (the time step from the grid) and the combinations that cannot be run. Checks
+that need the contents of a marker file belong to whoever reads the file.
+"""
+
+import os
+import re
+
+import numpy as np
+
+from petscib.coupling.kernels import KERNELS
+from petscib.errors import InputError
+from petscib.membrane.shapes import ellipse_perimeter
+
+# The widest marker spacing, in cells. Prototypes were sound from 0.2 to 2 cells; wider and fluid
+# passes between the markers.
+WIDEST_SPACING = 2.0
+# The fewest markers of a closed membrane: its fourth difference spans 5 of them.
+FEWEST_MARKERS = 8
+
+
+class Settings:
+    """Every option's value, as attributes named like the options. Frozen.
+
+    Pure data, equal on all ranks. Built by `petscib.options.read`.
+
+    Attributes
+    ----------
+    given : frozenset of str
+        Names of the options the user gave; the rest are defaults of the scene or the table.
+    """
+
+    def __init__(self, values, given):
+        self.__dict__.update(values, given=frozenset(given))
+
+    def __setattr__(self, name, value):
+        raise AttributeError(f"settings are frozen: {name} cannot be set")
+
+    def __delattr__(self, name):
+        raise AttributeError(f"settings are frozen: {name} cannot be deleted")
+
+    def __eq__(self, other):
+        return isinstance(other, Settings) and self.__dict__ == other.__dict__
+
+    def __repr__(self):
+        return "Settings({})".format(", ".join(f"{k}={v!r}" for k, v in self.__dict__.items()))
+
+    def to_dict(self):
+        """Every value and, under ``given``, the sorted names the user gave; fit for JSON."""
+        record = {k: list(v) if isinstance(v, tuple) else v for k, v in self.__dict__.items()}
+        return dict(record, given=sorted(self.given))
+
+    def to_text(self):
+        """The options the user gave, name to text: reading it again gives an equal record."""
+        return given_text(self.to_dict())
+
+
+def given_text(record):
+    """Option text (name to text) of what the user gave, from a `Settings.to_dict` record."""
+    return {name: text_of(record[name]) for name in record["given"]}
+
+
+def text_of(value):
+    """The text of a value as one would type it; numbers keep every digit."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, (tuple, list)):
+        return ",".join(text_of(entry) for entry in value)
+    if isinstance(value, float):
+        short = re.sub(r"e([+-])0*", "e\\1", f"{value:g}").replace("e+", "e")
+        return short if float(short) == value else repr(value)
+    return str(value)
+
+
+def resolve(values, given, dt_over_h):
+    """Fill in the values that follow from others, in place.
+
+    Parameters
+    ----------
+    values : dict
+        Option name to typed value: table defaults, then the scene, then the user.
+    given : set of str
+        Names the user gave; none of these is changed.
+    dt_over_h : float
+        The scene's time step in units of h = min(dx, dy).
+    """
+    a, b, c, d = values["domain"]
+    if values["stag_grid_y"] is None or given & {"stag_grid_x", "stag_grid_y"} == {"stag_grid_x"}:
+        values["stag_grid_y"] = max(1, round(values["stag_grid_x"] * (d - c) / (b - a)))
+    elif given & {"stag_grid_x", "stag_grid_y"} == {"stag_grid_y"}:
+        values["stag_grid_x"] = max(1, round(values["stag_grid_y"] * (b - a) / (d - c)))
+    derived = {}
+    if values["ts_dt"] is None:
+        cells = values["stag_grid_x"], values["stag_grid_y"]
+        derived["ts_dt"] = dt_over_h * min((b - a) / cells[0], (d - c) / cells[1])
+    if values["startup"] is None:
+        derived["startup"] = 1 if values["scheme"] == "gcn" else 0
+    if values["output"] is None:
+        derived["output"] = os.path.join("out", values["scene"])
+    if values["flow"] == "rest":
+        derived["shear_rate"] = 0.0
+    if values["marker_file"] is not None:
+        derived["axes"] = None
+    if values["vesicles"] == 0:
+        derived.update(axes=None, sigma0=0.0, bending=0.0, rest_length=None)
+    values.update({name: value for name, value in derived.items() if name not in given})
+
+
+def check(settings, shape_options):
+    """Refuse combinations that cannot be run.
+
+    Parameters
+    ----------
+    settings : Settings
+    shape_options : iterable of str
+        Names of the options that describe the vesicle and its membrane.
+
+    Raises
+    ------
+    InputError
+    """
+    _check_choices(settings)
+    _check_vesicle(settings, shape_options)
+    _check_files(settings)
+    if settings.axes is not None:
+        check_ellipse(settings)
+
+
+def check_domain(domain):
+    """Refuse an empty, inverted or needle-thin box, before anything is divided by its size."""
+    a, b, c, d = domain
+    if not min(b - a, d - c) > 1e-6 * max(map(abs, domain)):
+        raise InputError(f"-domain {text_of(domain)}: the box is empty or too thin; allowed: "
+                         "a,b,c,d with a < b and c < d, each side above 1e-6 of the largest entry")
+
+
+def check_ellipse(settings):
+    """Refuse an ellipse that leaves the box, feels a wall, or is too coarsely marked."""
+    a, b, c, d = settings.domain
+    dx, dy = (b - a) / settings.stag_grid_x, (d - c) / settings.stag_grid_y
+    angle, (rx, ry) = np.radians(settings.angle), settings.axes
+    # X = center + R(angle) (rx sin s, ry cos s): the amplitudes of x and y over s.
+    half_width = np.hypot(rx * np.cos(angle), ry * np.sin(angle))
+    half_height = np.hypot(rx * np.sin(angle), ry * np.cos(angle))
+    reach = KERNELS[settings.delta].reach
+    x, y = settings.center
+    placing = "center", "axes", "angle", "domain", "delta", "stag_grid_x", "stag_grid_y"
+    for gap, cell, wall in ((x - half_width - a, dx, f"x = {a:g}"),
+                            (b - x - half_width, dx, f"x = {b:g}"),
+                            (y - half_height - c, dy, f"y = {c:g}"),
+                            (d - y - half_height, dy, f"y = {d:g}")):
+        # The slack allows a vesicle placed exactly at the reach, against round-off.
+        if gap < reach * cell * (1 - 1e-9):
+            why = (f"the vesicle lies {-gap:.3g} beyond the wall {wall}" if gap < 0 else
+                   f"the vesicle comes within {gap:.3g} of the wall {wall}")
+            _refuse(settings, placing, why, f"a distance of at least {reach:g} cells "
+                    f"({reach * cell:.3g}), the reach of -delta {settings.delta}")
+
+    spacing = min(dx, dy)
+    perimeter = ellipse_perimeter((rx, ry))
+    markers = settings.markers or round(perimeter / (0.5 * spacing))
+    fewest = max(FEWEST_MARKERS, int(np.ceil(perimeter / (WIDEST_SPACING * spacing))))
+    if markers < fewest:
+        names = ("markers",) if settings.markers else ("axes", "stag_grid_x", "stag_grid_y")
+        _refuse(settings, names, f"{markers} markers on a perimeter of {perimeter:.3g}",
+                f"at least {fewest} markers ({FEWEST_MARKERS}, and at most {WIDEST_SPACING:g} "
+                "cells apart)")
+
+
+def _check_choices(settings):
+    if settings.scheme == "ep":
+        if settings.stretch == "evolve":
+            _refuse(settings, ("stretch", "scheme"), "scheme ep takes its force from the markers",
+                    "recompute, or another scheme")
+        if settings.startup > 0:
+            _refuse(settings, ("startup", "scheme"), "scheme ep has no start-up steps",
+                    "0, or another scheme")
+    if settings.flow == "rest" and settings.shear_rate != 0:
+        _refuse(settings, ("shear_rate",), "the flow is rest",
+                "0, or -flow shear, extensional or poiseuille")
+
+
+def _check_vesicle(settings, shape_options):
+    if settings.vesicles == 0:
+        for name in shape_options:
+            if name in settings.given and getattr(settings, name):
+                _refuse(settings, (name,), "there is no vesicle (vesicles is 0)",
+                        f"-vesicles 1, or no -{name}")
+        return
+    if settings.marker_file is not None and settings.axes is not None:
+        _refuse(settings, ("axes",), "-marker_file gives the shape already", "one of the two")
+    if "rest_length" in settings.given and settings.sigma0 == 0:
+        _refuse(settings, ("rest_length",), "has no meaning without tension (sigma0 is 0)",
+                "-sigma0 above 0, or no -rest_length")
+
+
+def _check_files(settings):
+    for name in ("restart", "marker_file"):
+        path = getattr(settings, name)
+        if path is not None and not os.path.isfile(path):
+            _refuse(settings, (name,), "no such file", "an existing file")
+    folder = os.path.abspath(settings.output)
+    while not os.path.exists(folder):
+        folder = os.path.dirname(folder)
+    if not os.path.isdir(folder):
+        _refuse(settings, ("output",), f"{os.path.relpath(folder)} is a file",
+                "a directory, made when missing")
+    if not os.access(folder, os.W_OK):
+        _refuse(settings, ("output",), f"no permission to write in {folder}",
+                "a writable directory")
+
+
+def _refuse(settings, names, why, allowed):
+    """Raise `InputError` for the first of the options that the user gave, or the first of all."""
+    name = next((name for name in names if name in settings.given), names[0])
+    value = text_of(getattr(settings, name))
+    raise InputError(f"-{name} {value}: {why}; allowed: {allowed}")
