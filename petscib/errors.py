@@ -1,4 +1,4 @@
-"""The two ways a run ends early, each with one line for the user and its own exit status."""
+"""The ways a run ends early, each with one line for the user and its own exit status."""
 
 
 class _OneLine(Exception):
@@ -16,5 +16,11 @@ class InputError(_OneLine):
 
 class SolveError(_OneLine):
     """A solve failed, or the physics did: one line, exit status 3."""
+
+    exit_status = 3
+
+
+class OutputError(_OneLine):
+    """Results could not be written, as on a full disk: one line, exit status 3."""
 
     exit_status = 3

@@ -240,14 +240,14 @@ TABLE = {option.name: option for option in _ROWS}
 # --- what is PETSc's business
 
 SOLVERS = (
-    ("momentum_", "implicit velocity of ep, mbe, mcn (CG)"),
-    ("momentum_tube_", "its direct solve near the membrane"),
-    ("momentum_outer_", "its solve on the whole grid with the plain viscous operator"),
-    ("poisson_", "pressure projection (CG)"),
+    ("momentum_", "implicit velocity of ep, mbe, mcn (CG with GAMG on the fluid's matrix)"),
+    ("momentum_tube_", "direct solver of the unknowns near the membrane, on rank 0"),
+    ("momentum_condense", "false: no such solver, and GAMG on the assembled matrix instead"),
+    ("poisson_", "pressure projection (CG with GAMG)"),
     ("coupled_", "velocity and pressure together, be, cn, gbe, gcn (FGMRES)"),
-    ("coupled_tube_", "its direct solve near the membrane"),
-    ("coupled_outer_velocity_", "its velocity solve on the whole grid"),
-    ("coupled_outer_poisson_", "its pressure solve on the whole grid"),
+    ("coupled_tube_", "direct solver of the unknowns near the membrane, on rank 0"),
+    ("coupled_velocity_", "velocity solve inside its preconditioner"),
+    ("coupled_poisson_", "pressure solve inside its preconditioner"),
 )
 _SOLVER_WORDS = "momentum", "poisson", "coupled"
 

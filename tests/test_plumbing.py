@@ -74,7 +74,8 @@ def report(tmp_path_factory):
     # behind Python's back, and take itself for a rank of this process's job.
     result = subprocess.run(
         [sys.executable, "-m", "pytest", "-rA", "-v", "-p", "no:cacheprovider", "test_cases.py"],
-        cwd=folder, env=dict(os.environ), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=100)
+        cwd=folder, env=dict(os.environ), stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT, text=True, timeout=100)
     assert time.monotonic() - begin < 60, result.stdout
     return result.stdout
 

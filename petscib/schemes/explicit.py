@@ -22,7 +22,7 @@ class Explicit:
 
     def __init__(self, problem):
         self.problem = problem
-        self.momentum = MomentumSolver(problem.operators, problem.rho, problem.mu, membrane=False)
+        self.momentum = MomentumSolver(problem.operators, problem.rho, problem.mu)
         self.projection = Projection(problem, self.theta)
         self._rhs = problem.grid.velocity_vector()
 

@@ -24,9 +24,7 @@ class Modified:
     def __init__(self, problem, theta):
         self.problem = problem
         self.theta = theta
-        self.momentum = MomentumSolver(
-            problem.operators, problem.rho, problem.mu, membrane=problem.membrane is not None
-        )
+        self.momentum = MomentumSolver(problem.operators, problem.rho, problem.mu)
         self.projection = Projection(problem, theta)
         self._rhs = problem.grid.velocity_vector()
 

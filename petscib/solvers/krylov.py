@@ -11,6 +11,42 @@ _REASONS = {
 }
 
 
+class Operator:
+    """A square PETSc matrix that acts as whatever object it is told to.
+
+    One matrix serves a whole run, because preconditioners keep a reference to it.
+
+    Parameters
+    ----------
+    like : PETSc.Mat
+        A matrix of the same layout.
+    """
+
+    def __init__(self, like):
+        self.action = None
+        self.matrix = PETSc.Mat().createPython(like.getSizes(), _Action(self), comm=like.comm)
+        self.matrix.setUp()
+
+    def act_as(self, action):
+        """Let `action.mult(x, y)` be the product from now on."""
+        self.action = action
+        self.matrix.assemble()  # tells PETSc that it changed
+
+    def destroy(self):
+        """Free the matrix.  Collective."""
+        self.matrix.destroy()
+
+
+class _Action:
+    """What PETSc calls."""
+
+    def __init__(self, operator):
+        self.operator = operator
+
+    def mult(self, matrix, x, y):
+        self.operator.action.mult(x, y)
+
+
 def set_defaults(prefix, defaults):
     """Enter options under `prefix` unless the user has given them."""
     options = PETSc.Options(prefix)

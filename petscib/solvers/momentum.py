@@ -2,24 +2,18 @@
 
 from petsc4py import PETSc
 
+from ..events import phase
 from . import krylov
-from .tube import TubeSchur
+from .condensation import Condensation, TubeCholesky
+from .tube import Tube
 
-FLUID_DEFAULTS = {
+DEFAULTS = {
     "ksp_type": "cg",
     "ksp_rtol": 1e-8,
     "ksp_max_it": 500,
     "pc_type": "gamg",
 }
-DEFAULTS = {
-    "ksp_type": "cg",
-    "ksp_rtol": 1e-8,
-    "ksp_max_it": 500,
-    "pc_type": "python",
-}
-ADVICE = (
-    "try a smaller -ts_dt, a larger -momentum_ksp_max_it, or -momentum_ksp_monitor to see more"
-)
+ADVICE = "a larger -momentum_ksp_max_it may help, -momentum_ksp_monitor shows more"
 
 
 class FluidMatrix:
@@ -39,6 +33,7 @@ class FluidMatrix:
         self.interval = None
         self.matrix = operators.laplacian.duplicate()
         self.matrix.setOption(PETSc.Mat.Option.SPD, True)
+        self.matrix.setAttr("grid", operators.grid)  # for FluidTransform
 
     def update(self, interval):
         """Make the matrix for theta dt = `interval`.  Returns whether it changed."""
@@ -47,6 +42,7 @@ class FluidMatrix:
         self.operators.laplacian.copy(self.matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         self.matrix.scale(-self.mu)
         self.matrix.shift(self.rho / interval)
+        self.matrix.setAttr("coefficients", (self.rho / interval, self.mu))
         self.interval = interval
         return True
 
@@ -85,73 +81,118 @@ class ImplicitForce:
         return product
 
 
-class MomentumOperator:
-    """A = A0 + implicit membrane force, applied without assembling it (python Mat)."""
+class WholeOperator:
+    """The momentum matrix A0 + theta dt F W J, applied piece by piece."""
 
-    def __init__(self, fluid):
+    def __init__(self, fluid, force):
         self.fluid = fluid
-        self.force = None
+        self.force = force
 
-    def mult(self, matrix, x, y):
+    def mult(self, x, y):
         """y = A x."""
         self.fluid.matrix.mult(x, y)
         self.force.add_to(x, y)
 
 
+def tube_blocks(fluid, tube):
+    """Blocks of the fluid matrix: the tube's faces among themselves, and with the shell's.
+
+    Collective; the (sequential) answers are empty but on rank 0.
+    """
+    faces = PETSc.IS().createGeneral(tube.faces, comm=PETSc.COMM_SELF)
+    shell = PETSc.IS().createGeneral(tube.shell_faces, comm=PETSc.COMM_SELF)
+    return (
+        fluid.createSubMatrices([faces], [faces])[0],
+        fluid.createSubMatrices([faces], [shell])[0],
+    )
+
+
 class MomentumSolver:
     """Conjugate gradients for (A0 + theta dt F W J) u = b.  Collective.
 
-    Without a membrane the system is A0 and is preconditioned by GAMG; with one, by the tube
-    Schur preconditioner.  Any other -momentum_pc_type acts on the assembled matrix.
+    The tube around the membrane is condensed; the preconditioner, GAMG unless options say
+    otherwise, is set up for A0 alone and kept while theta dt stays.  -<prefix>condense false
+    keeps the whole matrix, preconditioned as assembled: for comparison.
 
     Parameters
     ----------
     operators : Operators
     rho, mu : float
-    membrane : bool
-        Whether there will be an implicit membrane force.
     prefix : str
+        Options prefix; that of the tube's direct solver is <prefix>tube_.
     """
 
-    def __init__(self, operators, rho, mu, membrane, prefix="momentum_"):
+    def __init__(self, operators, rho, mu, prefix="momentum_"):
+        self.grid = operators.grid
         self.fluid = FluidMatrix(operators, rho, mu)
-        self.prefix = prefix
-        self.operator = None
-        if not membrane:
-            self.ksp = krylov.create(self.fluid.matrix, prefix, FLUID_DEFAULTS)
-        else:
-            self.operator = MomentumOperator(self.fluid)
-            sizes = self.fluid.matrix.getSizes()
-            self.matrix = PETSc.Mat().createPython(sizes, self.operator, comm=operators.grid.comm)
-            self.matrix.setUp()
-            self.ksp = krylov.create(self.matrix, prefix, DEFAULTS)
-            pc = self.ksp.getPC()
-            self.assembled = pc.getType() != "python"
-            if not self.assembled and pc.getPythonContext() is None:
-                pc.setPythonContext(TubeSchur(self.operator, operators.grid, prefix))
+        self.condense = PETSc.Options(prefix).getBool("condense", True)
+        self.cholesky = TubeCholesky(prefix + "tube_")
+        self.ksp = krylov.create(self.fluid.matrix, prefix, DEFAULTS)
         self.ksp.setInitialGuessNonzero(True)
+        # Multigrid would otherwise smooth with the operator, at a tube solve a sweep.
+        self.ksp.getPC().setUseAmat(False)
+        self.condensation = None
+        self._operator = krylov.Operator(self.fluid.matrix)
+        self._rhs = self.fluid.matrix.createVecLeft()
 
     def update(self, interval, interpolation=None, stiffness=None):
         """Set the system for theta dt = `interval` and the membrane's present configuration."""
         self.fluid.update(interval)
-        if self.operator is None:
+        self._release()
+        if interpolation is None:
+            self.ksp.setOperators(self.fluid.matrix)
             return
-        self.operator.force = ImplicitForce(interpolation, stiffness, interval)
-        self.matrix.assemble()  # tells PETSc that it changed
-        if self.assembled:
-            whole = self.operator.force.assemble()
+        force = ImplicitForce(interpolation, stiffness, interval)
+        if self.condense:
+            with phase("tube set-up"):
+                self.condensation = self._condense(force)
+            self._operator.act_as(self.condensation)
+            self.ksp.setOperators(self._operator.matrix, self.fluid.matrix)
+        else:
+            whole = force.assemble()
             whole.axpy(1.0, self.fluid.matrix, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-            self.ksp.setOperators(self.matrix, whole)
+            self._operator.act_as(WholeOperator(self.fluid, force))
+            self.ksp.setOperators(self._operator.matrix, whole)
+            whole.destroy()
+
+    def _condense(self, force):
+        fluid = self.fluid.matrix
+        tube = Tube(self.grid, force.interpolation.stencil)
+        block, coupling = tube_blocks(fluid, tube)
+        if len(tube.faces):
+            product = force.stiffness.matrix().ptap(tube.interpolation())
+            product.scale(force.scale)
+            # The other way round, the sum would replace the inside of a matrix that PETSc's
+            # routine for submatrices has marked as its own, and destroying it would crash.
+            product.axpy(1.0, block, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+            block = product
+        self.cholesky.factor(block)
+        return Condensation(
+            fluid.mult, self._rhs, tube.faces, tube.shell_faces, [coupling], self.cholesky.solve
+        )
 
     def solve(self, rhs, velocity):
         """Solve for `velocity` (first guess on entry).  Returns the iterations."""
-        self.ksp.solve(rhs, velocity)
+        if self.condensation is None:
+            self.ksp.solve(rhs, velocity)
+        else:
+            self.condensation.condense(rhs, self._rhs)
+            self.ksp.solve(self._rhs, velocity)
+            self.condensation.recover(rhs, velocity)
         krylov.check(self.ksp, "momentum", ADVICE)
         return self.ksp.getIterationNumber()
 
+    def _release(self):
+        """Free what belongs to one configuration of the membrane."""
+        if self.condensation is not None:
+            self.condensation.destroy()
+            self.condensation = None
+
     def destroy(self):
         """Free the solver.  Collective."""
+        self._release()
+        self.cholesky.destroy()
         self.ksp.destroy()
-        if self.operator is not None:
-            self.matrix.destroy()
+        self._operator.destroy()
         self.fluid.matrix.destroy()
+        self._rhs.destroy()

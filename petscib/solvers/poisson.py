@@ -7,6 +7,8 @@ DEFAULTS = {
     "ksp_rtol": 1e-8,
     "ksp_max_it": 500,
     "pc_type": "gamg",
+    # The coarsest matrix is singular too; LU would make the preconditioner indefinite.
+    "mg_coarse_sub_pc_type": "svd",
 }
 
 
@@ -26,6 +28,7 @@ class PoissonSolver:
 
     def __init__(self, operators, prefix="poisson_", defaults=DEFAULTS):
         self.matrix = operators.pressure_laplacian
+        self.matrix.setAttr("grid", operators.grid)  # for PoissonTransform
         self.null_space = self.matrix.getNullSpace()
         self.ksp = krylov.create(self.matrix, prefix, defaults)
         self.ksp.setInitialGuessNonzero(defaults["ksp_type"] != "preonly")

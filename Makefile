@@ -1,0 +1,20 @@
+# .ci/setup installs what is missing and leaves the interpreter in $python.
+SETUP = set -e; root=$$PWD; . .ci/setup
+
+.PHONY: setup test run lint clean
+
+setup:
+	@needs="pytest hypothesis"; $(SETUP)
+
+test:
+	@needs="pytest hypothesis"; $(SETUP); "$$python" -m pytest
+
+run:
+	@./run $(ARGS)
+
+lint:
+	@needs="ruff"; $(SETUP); "$$python" -m ruff check
+
+clean:
+	rm -rf build dist *.egg-info .pytest_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -not -path './.venv/*' -prune -exec rm -rf {} +

@@ -1,0 +1,39 @@
+"""Signals that ask a run to stop: noted when they come, acted upon between two steps."""
+
+import signal
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)
+
+
+class Interrupt:
+    """Notes SIGINT, SIGTERM and SIGUSR1 inside a ``with`` block.  Not collective.
+
+    The first signal of a kind is noted; from then on that kind has its default effect again, so
+    that a second Ctrl-C ends the program at once.
+
+    Attributes
+    ----------
+    caught : int
+        Number of the signal noted last; 0 when there was none.
+    """
+
+    def __init__(self):
+        self.caught = 0
+        self._before = {}
+
+    def __enter__(self):
+        self._before = {kind: signal.signal(kind, self._note) for kind in SIGNALS}
+        return self
+
+    def __exit__(self, *error):
+        for kind, handler in self._before.items():
+            signal.signal(kind, handler)
+
+    def _note(self, kind, frame):
+        self.caught = kind
+        signal.signal(kind, signal.SIG_DFL)
+
+
+def exit_status(kind):
+    """What a shell expects of a program that a signal stopped; SIGUSR1 is a plain request."""
+    return 128 + kind if kind in (signal.SIGINT, signal.SIGTERM) else 0

@@ -1,0 +1,182 @@
+"""Static condensation: the tube's unknowns solved exactly, Krylov iterations on the others.
+
+Cut the symmetric system K x = b into the tube t and the rest e.  With
+
+    S = K_ee - K_et K_tt^{-1} K_te,    S x_e = b_e - K_et K_tt^{-1} b_t,
+    x_t = K_tt^{-1} (b_t - K_te x_e),
+
+all that is stiff is in K_tt, which a direct solver factors on rank 0, where the markers live.
+Outside K_tt, K is the constant fluid operator K0; a solver for K0 on the whole grid therefore
+preconditions S well, whatever the stiffness.  This is the iteration of block elimination with
+an exact tube block as preconditioner, at one tube solve an iteration instead of two and without
+residuals in which the stiffness magnifies round-off.
+
+Vectors keep the length of the whole system.  The condensed operator neither reads nor writes
+tube entries, so a preconditioner may leave anything there.
+"""
+
+import numpy as np
+from petsc4py import PETSc
+
+from ..events import phase
+from . import krylov
+
+
+def direct_solver():
+    """Name of the best sparse Cholesky package that this PETSc has."""
+    for package, solver in (("suitesparse", "cholmod"), ("mumps", "mumps")):
+        if PETSc.Sys.hasExternalPackage(package):
+            return solver
+    return "petsc"
+
+
+class TubeCholesky:
+    """Sparse Cholesky of a sequential matrix on rank 0, under an options prefix.
+
+    Elsewhere the matrix is empty, and so are its right-hand sides and answers.
+    """
+
+    def __init__(self, prefix):
+        self.prefix = prefix
+        self.ksp = None
+        krylov.set_defaults(
+            prefix,
+            {
+                "ksp_type": "preonly",
+                "pc_type": "cholesky",
+                "pc_factor_mat_solver_type": direct_solver(),
+            },
+        )
+
+    def factor(self, matrix):
+        """Factor; a matrix with the last one's pattern keeps its symbolic factorisation."""
+        if not matrix.getSize()[0]:
+            return
+        if self.ksp is None:
+            self.ksp = PETSc.KSP().create(comm=PETSc.COMM_SELF)
+            self.ksp.setOptionsPrefix(self.prefix)
+            self.ksp.setFromOptions()
+        elif matrix.getSize()[0] != self._rhs.getSize():
+            self.ksp.reset()
+        matrix.setOption(PETSc.Mat.Option.SPD, True)
+        self.ksp.setOperators(matrix)
+        self.ksp.setUp()
+        self._solution, self._rhs = matrix.createVecs()
+
+    def solve(self, rhs):
+        """Answer as a new array."""
+        if not len(rhs):
+            return np.empty(0)
+        self._rhs.getArray()[:] = rhs
+        self.ksp.solve(self._rhs, self._solution)
+        return self._solution.getArray(readonly=True).copy()
+
+    def destroy(self):
+        """Free the factor."""
+        if self.ksp is not None:
+            self.ksp.destroy()
+            self.ksp = None
+
+
+class Condensation:
+    """The condensed operator S, its right-hand side and the recovery.
+
+    Parameters
+    ----------
+    multiply : callable
+        Takes vectors x, y and sets y = K0 x, the fluid operator.  Collective.
+    vector : PETSc.Vec
+        Any vector of the system's layout.
+    tube, shell : ndarray of int
+        PETSc numbers, on rank 0 (empty elsewhere), of the tube's unknowns and of those outside
+        that K couples to them.
+    couplings : list of PETSc.Mat
+        K_ts on rank 0 (sequential), in column blocks in the order of `shell`.
+    solve_tube : callable
+        Takes the array r_t on rank 0 and returns K_tt^{-1} r_t.
+    """
+
+    def __init__(self, multiply, vector, tube, shell, couplings, solve_tube):
+        self.multiply = multiply
+        self.count = len(tube)
+        self.couplings = couplings
+        self.solve_tube = solve_tube
+        numbers = np.concatenate((tube, shell)).astype(PETSc.IntType)
+        self._local = PETSc.Vec().createSeq(len(numbers), comm=PETSc.COMM_SELF)
+        index = PETSc.IS().createGeneral(numbers, comm=PETSc.COMM_SELF)
+        self._scatter = PETSc.Scatter().create(vector, index, self._local, None)
+        self._work = vector.duplicate()
+        self._mine = self._find_owned()
+
+    def _find_owned(self):
+        """Positions of tube entries in this rank's part of a vector."""
+        self._work.set(0.0)
+        self._local.getArray()[: self.count] = 1.0
+        self._local.getArray()[self.count :] = 0.0
+        self._return(self._work)
+        return np.flatnonzero(self._work.getArray(readonly=True))
+
+    def _gather(self, vector):
+        self._scatter.scatter(vector, self._local, PETSc.InsertMode.INSERT_VALUES)
+        return self._local.getArray()
+
+    def _return(self, vector):
+        self._scatter.scatter(
+            self._local, vector, PETSc.InsertMode.INSERT_VALUES, PETSc.ScatterMode.REVERSE
+        )
+
+    def _from_shell(self, values):
+        """K_ts times an array over the shell."""
+        result = np.zeros(self.count)
+        start = 0
+        for matrix in self.couplings:
+            x, y = matrix.createVecs()
+            stop = start + x.getSize()
+            x.getArray()[:] = values[start:stop]
+            matrix.mult(x, y)
+            result += y.getArray(readonly=True)
+            start = stop
+        return result
+
+    def _to_shell(self, values):
+        """K_st times an array over the tube."""
+        parts = [np.empty(0)]
+        for matrix in self.couplings:
+            x, y = matrix.createVecs()
+            y.getArray()[:] = values
+            matrix.multTranspose(y, x)
+            parts.append(x.getArray(readonly=True))
+        return np.concatenate(parts)
+
+    def mult(self, x, y):
+        """y = S x, with zeros in the tube."""
+        local = self._gather(x)
+        with phase("tube solve"):
+            local[: self.count] = -self.solve_tube(self._from_shell(local[self.count :]))
+        x.copy(self._work)
+        self._return(self._work)
+        self.multiply(self._work, y)
+        y.getArray()[self._mine] = 0.0
+
+    def condense(self, rhs, condensed):
+        """Set condensed = b_e - K_et K_tt^{-1} b_t, with zeros in the tube.  Collective."""
+        local = self._gather(rhs)
+        with phase("tube solve"):
+            inner = self.solve_tube(local[: self.count])
+        local[: self.count] = 0.0
+        local[self.count :] -= self._to_shell(inner)
+        rhs.copy(condensed)
+        self._return(condensed)
+
+    def recover(self, rhs, solution):
+        """Set the tube's entries of `solution` from the others.  Collective."""
+        inner = self._gather(rhs)[: self.count].copy()
+        local = self._gather(solution)
+        with phase("tube solve"):
+            local[: self.count] = self.solve_tube(inner - self._from_shell(local[self.count :]))
+        self._return(solution)
+
+    def destroy(self):
+        """Free the scatter and the work vector.  Collective."""
+        self._scatter.destroy()
+        self._work.destroy()

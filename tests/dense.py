@@ -1,0 +1,170 @@
+"""Dense NumPy versions of what petscib assembles, written independently, and small problems.
+
+Natural order: the x-faces row by row, then the y-faces; cells row by row.
+"""
+from contextlib import contextmanager
+
+import numpy as np
+from petsc4py import PETSc
+
+from petscib import options
+
+# ---------------------------------------------------------------- from PETSc to NumPy
+
+
+def velocity_numbers(grid):
+    """PETSc numbers of all faces in natural order."""
+    return np.concatenate((grid.u_index.ravel(), grid.v_index.ravel()))
+
+
+def _whole(vector):
+    return np.concatenate(vector.comm.tompi4py().allgather(vector.getArray(readonly=True)))
+
+
+def velocity(grid, vector):
+    """All faces in natural order, on every rank.  Collective."""
+    return _whole(vector)[velocity_numbers(grid)]
+
+
+def pressure(grid, vector):
+    """All cells in natural order, on every rank.  Collective."""
+    return _whole(vector)[grid.p_index.ravel()]
+
+
+def matrix(mat):
+    """A distributed matrix, rows and columns in PETSc's order, on every rank.  Collective."""
+    starts, columns, values = mat.getValuesCSR()
+    local = np.zeros((len(starts) - 1, mat.getSize()[1]))
+    np.add.at(local, (np.repeat(np.arange(len(starts) - 1), np.diff(starts)), columns), values)
+    return np.concatenate(mat.comm.tompi4py().allgather(local))
+
+
+def set_velocity(grid, vector, values):
+    """Set a vector from all faces in natural order."""
+    split = grid.u_index.size
+    u = values[:split].reshape(grid.u_index.shape)
+    v = values[split:].reshape(grid.v_index.shape)
+    grid.set_velocity(vector, u[grid.u_box], v[grid.v_box])
+
+
+# ---------------------------------------------------------------- operators
+
+
+def _second_difference(count, h, half):
+    """Second difference of `count` values with zeros around, the walls half a cell away or not."""
+    table = np.diag(np.full(count, -2.0)) + np.eye(count, k=1) + np.eye(count, k=-1)
+    if half:
+        table[0, 0] = table[-1, -1] = -3.0
+    return table / h**2
+
+
+def _inner(count):
+    """Selects the inner ones of `count` nodes."""
+    return np.diag(np.r_[0.0, np.ones(count - 2), 0.0])
+
+
+def _nodes(count, h):
+    table = np.zeros((count, count))
+    table[1:-1, 1:-1] = _second_difference(count - 2, h, half=False)
+    return table
+
+
+def inner_faces(grid):
+    """Which faces, in natural order, are not on the walls."""
+    m, n = grid.m, grid.n
+    u = np.kron(np.ones(n), np.diag(_inner(m + 1)))
+    v = np.kron(np.diag(_inner(n + 1)), np.ones(m))
+    return np.concatenate((u, v)) > 0
+
+
+def laplacian(grid):
+    """Laplacian of the velocity with walls at rest; wall faces empty."""
+    m, n, dx, dy = grid.m, grid.n, grid.dx, grid.dy
+    u = np.kron(np.eye(n), _nodes(m + 1, dx))
+    u += np.kron(_second_difference(n, dy, half=True), _inner(m + 1))
+    v = np.kron(_nodes(n + 1, dy), np.eye(m))
+    v += np.kron(_inner(n + 1), _second_difference(m, dx, half=True))
+    zero = np.zeros((len(u), len(v)))
+    return np.block([[u, zero], [zero.T, v]])
+
+
+def divergence(grid):
+    """Divergence from all faces to cells."""
+    def forward(count, h):
+        return (np.eye(count, count + 1, k=1) - np.eye(count, count + 1)) / h
+
+    return np.hstack((np.kron(np.eye(grid.n), forward(grid.m, grid.dx)),
+                      np.kron(forward(grid.n, grid.dy), np.eye(grid.m))))
+
+
+def gradient(grid):
+    """Gradient from cells to faces, zero on the walls."""
+    return -divergence(grid).T * inner_faces(grid)[:, None]
+
+
+def interpolation(grid, kernel, markers):
+    """The matrix J, by evaluating the kernel at every face."""
+    rows = []
+    for x, y in markers:
+        for component, (x_faces, y_faces) in enumerate((grid.u_points(), grid.v_points())):
+            r_x, r_y = (x_faces - x) / grid.dx, (y_faces - y) / grid.dy
+            weights = (kernel.along(r_x) * kernel.across(r_y) if component == 0
+                       else kernel.across(r_x) * kernel.along(r_y))
+            row = [np.zeros(grid.u_index.size), np.zeros(grid.v_index.size)]
+            row[component] = weights.ravel()
+            rows.append(np.concatenate(row))
+    return np.array(rows)
+
+
+# ---------------------------------------------------------------- along the membrane
+
+
+def to_half_points(count, ds):
+    """Difference from markers to half points, (q_k - q_{k-1}) / ds."""
+    return (np.eye(count) - np.roll(np.eye(count), -1, axis=1)) / ds
+
+
+def fourth_difference(count, ds):
+    """The matrix A_h for both components, interleaved."""
+    row = np.zeros(count)
+    row[[0, 1, 2, -1, -2]] = 6, -4, 1, -4, 1
+    table = np.array([np.roll(row, k) for k in range(count)]) / ds**4
+    return np.kron(table, np.eye(2))
+
+
+def surface_divergence(tangent, ds):
+    """The matrix T_m (M x 2M) from marker velocities to rates of stretching."""
+    table = to_half_points(len(tangent), ds)
+    return (table[:, :, None] * tangent[:, None, :]).reshape(len(tangent), -1)
+
+
+# ---------------------------------------------------------------- problems and options
+
+
+@contextmanager
+def petsc_options(**values):
+    """Replace PETSc's options by `values` inside the block, and leave none of its traces."""
+    database = PETSc.Options()
+    before = database.getAll()
+    for name in before:
+        database.delValue(name)
+    for name, value in values.items():
+        database[name] = value
+    try:
+        yield
+    finally:
+        for name in database.getAll():
+            database.delValue(name)
+        for name, value in before.items():
+            database[name] = value
+
+
+def problem(**values):
+    """Problem and initial state for options by name; flow at rest, 32 x 32.  Collective."""
+    words = {"flow": "rest", "stag_grid_x": 32}
+    words.update(values)
+    if words["flow"] == "rest":
+        words.pop("shear_rate", None)
+    settings = options.read({name: str(value) for name, value in words.items()})
+    from petscib.simulation import build_problem
+    return build_problem(settings, PETSc.COMM_WORLD)

@@ -1,0 +1,137 @@
+"""Interpolation and spreading against a dense J, and the identities that they must keep."""
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from petscib.coupling.interpolation import Interpolation
+from petscib.coupling.kernels import KERNELS
+from petscib.fluid.grid import Grid
+from petscib.membrane import geometry, shapes
+
+import dense
+
+DOMAIN = (-1.0, 2.0, 0.5, 2.5)
+ROUND_OFF = 1e-13  # relative
+LENGTH = 0.31  # parameter step; any number will do
+
+pytestmark = pytest.mark.parallel([1, 2, 3])
+every_kernel = pytest.mark.parametrize("name", KERNELS)
+
+
+class Case:
+    """Markers on an ellipse over a small grid, random velocity and random force."""
+
+    def __init__(self, name="yang"):
+        self.grid, self.kernel = Grid((17, 14), DOMAIN), KERNELS[name]
+        self.markers = shapes.ellipse((0.35, 0.5), (0.43, 1.52), 20.0, 11)
+        random = np.random.default_rng(5)
+        self.force = random.standard_normal(self.markers.shape)
+        self.values = random.standard_normal(len(dense.velocity_numbers(self.grid)))
+        self.velocity = self.grid.velocity_vector()
+        dense.set_velocity(self.grid, self.velocity, self.values)
+        self.interpolation = Interpolation(self.grid, self.kernel, self.here(self.markers), LENGTH)
+
+    def here(self, array):
+        """What this rank holds of marker data: all on rank 0, nothing elsewhere."""
+        return array if MPI.COMM_WORLD.rank == 0 else array[:0]
+
+    def interpolate(self, velocity):
+        """Interpolated velocity on all ranks."""
+        values = self.interpolation.interpolate(velocity)
+        assert len(values) == len(self.here(self.markers))
+        return MPI.COMM_WORLD.bcast(values)
+
+    def spread(self, force):
+        """Spread force as a new vector."""
+        result = self.grid.velocity_vector()
+        self.interpolation.spread_add(self.here(force), result)
+        return result
+
+
+@every_kernel
+def test_equals_the_dense_matrix(name):
+    case = Case(name)
+    table = dense.interpolation(case.grid, case.kernel, case.markers)
+    expected = (table @ case.values).reshape(-1, 2)
+    assert np.allclose(case.interpolate(case.velocity), expected, rtol=0, atol=ROUND_OFF)
+    spread = dense.velocity(case.grid, case.spread(case.force))
+    expected = LENGTH / (case.grid.dx * case.grid.dy) * table.T @ case.force.ravel()
+    assert np.allclose(spread, expected, rtol=0, atol=ROUND_OFF * np.abs(expected).max())
+
+
+def test_spreading_adds_with_a_factor():
+    case = Case()
+    result = case.velocity.copy()
+    case.interpolation.spread_add(case.here(case.force), result, scale=-2.0)
+    result.axpy(2.0, case.spread(case.force))
+    assert np.allclose(dense.velocity(case.grid, result), case.values, rtol=0, atol=1e-12)
+
+
+@every_kernel
+def test_spreading_is_adjoint_to_interpolation(name):
+    case = Case(name)
+    on_grid = case.spread(case.force).dot(case.velocity) * case.grid.cell_area
+    on_membrane = np.sum(case.force * case.interpolate(case.velocity)) * LENGTH
+    size = np.linalg.norm(case.force) * np.linalg.norm(case.values)
+    assert on_grid == pytest.approx(on_membrane, abs=ROUND_OFF * size)
+
+
+@every_kernel
+def test_tension_is_skew_adjoint_to_surface_divergence(name):
+    case = Case(name)
+    tension = np.random.default_rng(6).standard_normal(len(case.markers))
+    tangent = geometry.unit_tangent(case.markers, LENGTH)
+    force = geometry.to_markers(tension[:, None] * tangent, LENGTH)
+    on_grid = case.spread(force).dot(case.velocity) * case.grid.cell_area
+    rate = geometry.surface_divergence(case.interpolate(case.velocity), tangent, LENGTH)
+    size = np.linalg.norm(tension) * np.linalg.norm(case.values) / LENGTH
+    assert on_grid == pytest.approx(-np.sum(tension * rate) * LENGTH, abs=ROUND_OFF * size)
+
+
+@every_kernel
+def test_force_and_torque_are_conserved(name):
+    case = Case(name)
+    grid, spread = case.grid, dense.velocity(case.grid, case.spread(case.force))
+    split = grid.u_index.size
+    u = spread[:split].reshape(grid.u_index.shape) * grid.cell_area
+    v = spread[split:].reshape(grid.v_index.shape) * grid.cell_area
+    expected = case.force.sum(axis=0) * LENGTH
+    assert np.allclose((u.sum(), v.sum()), expected, rtol=0, atol=1e-12)
+    torque = (grid.v_points()[0] * v).sum() - (grid.u_points()[1] * u).sum()
+    x, y = case.markers.T
+    expected = (x * case.force[:, 1] - y * case.force[:, 0]).sum() * LENGTH
+    assert torque == pytest.approx(expected, abs=1e-12)
+
+
+@every_kernel
+def test_linear_velocity_is_reproduced(name):
+    case = Case(name)
+    x, y = case.grid.u_points()
+    u = 2.0 + 0.5 * x - 3.0 * y
+    x, y = case.grid.v_points()
+    v = -1.0 + 4.0 * x + 0.25 * y
+    dense.set_velocity(case.grid, case.velocity, np.concatenate((u.ravel(), v.ravel())))
+    x, y = case.markers.T
+    expected = np.column_stack((2.0 + 0.5 * x - 3.0 * y, -1.0 + 4.0 * x + 0.25 * y))
+    assert np.allclose(case.interpolate(case.velocity), expected, rtol=0, atol=1e-12)
+
+
+@every_kernel
+def test_markers_at_their_least_distance_from_the_walls(name):
+    """The stencil stays on the grid, also where markers stand on grid lines."""
+    case = Case(name)
+    reach = case.kernel.reach * np.array([case.grid.dx, case.grid.dy])
+    low, high = np.array(DOMAIN[::2]) + reach, np.array(DOMAIN[1::2]) - reach
+    markers = np.array([low, high, [low[0], high[1]], [high[0], low[1]], (low + high) / 2])
+    case.interpolation = Interpolation(case.grid, case.kernel, case.here(markers), LENGTH)
+    case.markers = markers
+    table = dense.interpolation(case.grid, case.kernel, markers)
+    assert np.allclose(case.interpolate(case.velocity).ravel(), table @ case.values,
+                       rtol=0, atol=1e-12)
+
+
+def test_rows_are_on_rank_0_and_columns_follow_the_grid():
+    case = Case()
+    (rows, _), (columns, _) = case.interpolation.matrix.getSizes()
+    assert rows == 2 * len(case.here(case.markers))
+    assert columns == case.velocity.getLocalSize()
