@@ -1,5 +1,6 @@
 """Time stepping schemes, by name."""
 
+from .coupled import Coupled
 from .explicit import Explicit
 from .modified import Modified
 
@@ -9,4 +10,6 @@ SCHEMES = {
     "ep": Explicit,
     "mbe": lambda problem: Modified(problem, BACKWARD_EULER),
     "mcn": lambda problem: Modified(problem, CRANK_NICOLSON),
+    "be": lambda problem: Coupled(problem, BACKWARD_EULER),
+    "cn": lambda problem: Coupled(problem, CRANK_NICOLSON),
 }

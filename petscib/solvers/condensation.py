@@ -93,14 +93,20 @@ class Condensation:
     couplings : list of PETSc.Mat
         K_ts on rank 0 (sequential), in column blocks in the order of `shell`.
     solve_tube : callable
-        Takes the array r_t on rank 0 and returns K_tt^{-1} r_t.
+        Takes the array r_t on rank 0 and returns K_tt^{-1} r_t, at least those of its entries
+        that K couples to the rest: the first ones, as many as the couplings have rows.
+    complete_tube : callable, optional
+        The same with all entries; `solve_tube` if not given.
     """
 
-    def __init__(self, multiply, vector, tube, shell, couplings, solve_tube):
+    def __init__(
+        self, multiply, vector, tube, shell, couplings, solve_tube, complete_tube=None
+    ):
         self.multiply = multiply
         self.count = len(tube)
         self.couplings = couplings
         self.solve_tube = solve_tube
+        self.complete_tube = complete_tube or solve_tube
         numbers = np.concatenate((tube, shell)).astype(PETSc.IntType)
         self._local = PETSc.Vec().createSeq(len(numbers), comm=PETSc.COMM_SELF)
         index = PETSc.IS().createGeneral(numbers, comm=PETSc.COMM_SELF)
@@ -134,7 +140,7 @@ class Condensation:
             stop = start + x.getSize()
             x.getArray()[:] = values[start:stop]
             matrix.mult(x, y)
-            result += y.getArray(readonly=True)
+            result[: y.getSize()] += y.getArray(readonly=True)
             start = stop
         return result
 
@@ -143,7 +149,7 @@ class Condensation:
         parts = [np.empty(0)]
         for matrix in self.couplings:
             x, y = matrix.createVecs()
-            y.getArray()[:] = values
+            y.getArray()[:] = values[: y.getSize()]
             matrix.multTranspose(y, x)
             parts.append(x.getArray(readonly=True))
         return np.concatenate(parts)
@@ -173,7 +179,8 @@ class Condensation:
         inner = self._gather(rhs)[: self.count].copy()
         local = self._gather(solution)
         with phase("tube solve"):
-            local[: self.count] = self.solve_tube(inner - self._from_shell(local[self.count :]))
+            rest = inner - self._from_shell(local[self.count :])
+            local[: self.count] = self.complete_tube(rest)
         self._return(solution)
 
     def destroy(self):

@@ -58,13 +58,18 @@ def set_defaults(prefix, defaults):
 def create(matrix, prefix, defaults, preconditioning_matrix=None):
     """New KSP on the matrix's communicator, set from the options under `prefix`.
 
-    Collective on the matrix.
+    Iterative ones start from the solution vector's values.  Collective on the matrix.
     """
     set_defaults(prefix, defaults)
     ksp = PETSc.KSP().create(comm=matrix.comm)
     ksp.setOptionsPrefix(prefix)
     ksp.setOperators(matrix, preconditioning_matrix or matrix)
-    ksp.setFromOptions()
+    try:
+        ksp.setFromOptions()
+    except Exception:
+        ksp.destroy()  # at exit, PETSc can no longer free one with a python preconditioner
+        raise
+    ksp.setInitialGuessNonzero(ksp.getType() != "preonly")
     return ksp
 
 

@@ -120,15 +120,16 @@ class MomentumSolver:
     rho, mu : float
     prefix : str
         Options prefix; that of the tube's direct solver is <prefix>tube_.
+    defaults : dict
+        Solver options unless given.
     """
 
-    def __init__(self, operators, rho, mu, prefix="momentum_"):
+    def __init__(self, operators, rho, mu, prefix="momentum_", defaults=DEFAULTS):
         self.grid = operators.grid
         self.fluid = FluidMatrix(operators, rho, mu)
         self.condense = PETSc.Options(prefix).getBool("condense", True)
         self.cholesky = TubeCholesky(prefix + "tube_")
-        self.ksp = krylov.create(self.fluid.matrix, prefix, DEFAULTS)
-        self.ksp.setInitialGuessNonzero(True)
+        self.ksp = krylov.create(self.fluid.matrix, prefix, defaults)
         # Multigrid would otherwise smooth with the operator, at a tube solve a sweep.
         self.ksp.getPC().setUseAmat(False)
         self.condensation = None

@@ -31,7 +31,6 @@ class PoissonSolver:
         self.matrix.setAttr("grid", operators.grid)  # for PoissonTransform
         self.null_space = self.matrix.getNullSpace()
         self.ksp = krylov.create(self.matrix, prefix, defaults)
-        self.ksp.setInitialGuessNonzero(defaults["ksp_type"] != "preonly")
         self._rhs = self.matrix.createVecLeft()
 
     def solve(self, source, solution):
