@@ -89,6 +89,8 @@ class Ledger:
 
 def balance(problem, step):
     """The ledger of a step of an implicit scheme.  Collective."""
+    if step.parts:
+        return sum((balance(problem, part) for part in step.parts), Ledger())
     operators, membrane = problem.operators, problem.membrane
     rho, mu, dt, theta = problem.rho, problem.mu, step.dt, step.theta
     area = problem.grid.cell_area

@@ -25,6 +25,10 @@ class State:
         Positions on rank 0; (0, 2) elsewhere.
     stretch : ndarray, shape (M,)
         Stretching |X_s| that the next step starts from, at the half points; rank 0.
+    history : dict of str to ndarray or PETSc.Vec
+        What a scheme wants to find again at the next step besides, such as earlier marker
+        positions: arrays on rank 0 (without rows elsewhere), velocity or pressure vectors.
+        Every checkpoint holds it.
     """
 
     step: int
@@ -33,6 +37,7 @@ class State:
     pressure: PETSc.Vec
     markers: np.ndarray
     stretch: np.ndarray
+    history: dict = field(default_factory=dict)
 
 
 @dataclass
@@ -55,6 +60,8 @@ class Step:
         The stage velocity at the markers.
     iterations : dict
         Linear and nonlinear iterations by solver.
+    parts : tuple of Step
+        The smaller steps that it was made of; empty for a plain step.
     """
 
     dt: float
@@ -66,9 +73,14 @@ class Step:
     stretch_rate: np.ndarray = None
     marker_velocity: np.ndarray = None
     iterations: dict = field(default_factory=dict)
+    parts: tuple = ()
 
     def discard(self):
         """Free the vectors that only this step and its start hold.  Collective."""
+        for part in self.parts[:-1]:
+            for vector in (part.stage, part.projection, part.end.velocity, part.end.pressure):
+                if vector is not None:
+                    vector.destroy()
         for vector in (self.start.velocity, self.start.pressure, self.stage, self.projection):
             if vector is not None:
                 vector.destroy()

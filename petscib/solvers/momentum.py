@@ -4,7 +4,8 @@ from petsc4py import PETSc
 
 from ..events import phase
 from . import krylov
-from .condensation import Condensation, TubeCholesky
+from .block import TubeBlock, TubeVelocity
+from .condensation import Condensation
 from .tube import Tube
 
 DEFAULTS = {
@@ -128,7 +129,7 @@ class MomentumSolver:
         self.grid = operators.grid
         self.fluid = FluidMatrix(operators, rho, mu)
         self.condense = PETSc.Options(prefix).getBool("condense", True)
-        self.cholesky = TubeCholesky(prefix + "tube_")
+        self.direct = TubeVelocity(prefix + "tube_")
         self.ksp = krylov.create(self.fluid.matrix, prefix, defaults)
         # Multigrid would otherwise smooth with the operator, at a tube solve a sweep.
         self.ksp.getPC().setUseAmat(False)
@@ -159,17 +160,12 @@ class MomentumSolver:
     def _condense(self, force):
         fluid = self.fluid.matrix
         tube = Tube(self.grid, force.interpolation.stencil)
-        block, coupling = tube_blocks(fluid, tube)
-        if len(tube.faces):
-            product = force.stiffness.matrix().ptap(tube.interpolation())
-            product.scale(force.scale)
-            # The other way round, the sum would replace the inside of a matrix that PETSc's
-            # routine for submatrices has marked as its own, and destroying it would crash.
-            product.axpy(1.0, block, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-            block = product
-        self.cholesky.factor(block)
+        matrix, coupling = tube_blocks(fluid, tube)
+        block = TubeBlock(tube, matrix)
+        block.set(force.stiffness, force.scale)
+        self.direct.factor(block)
         return Condensation(
-            fluid.mult, self._rhs, tube.faces, tube.shell_faces, [coupling], self.cholesky.solve
+            fluid.mult, self._rhs, tube.faces, tube.shell_faces, [coupling], self.direct.solve
         )
 
     def solve(self, rhs, velocity):
@@ -192,7 +188,7 @@ class MomentumSolver:
     def destroy(self):
         """Free the solver.  Collective."""
         self._release()
-        self.cholesky.destroy()
+        self.direct.destroy()
         self.ksp.destroy()
         self._operator.destroy()
         self.fluid.matrix.destroy()

@@ -5,6 +5,7 @@ from petsc4py import PETSc
 
 from ..events import phase
 from . import krylov
+from .block import TubeBlock
 from .condensation import Condensation
 from .momentum import ImplicitForce, MomentumSolver, tube_blocks
 from .poisson import PoissonSolver
@@ -230,6 +231,7 @@ class CoupledSolver:
         (to_cells,) = self.operators.gradient.createSubMatrices([faces], [shell])
         gradient.scale(scale)
         to_cells.scale(scale)
+        block = TubeBlock(tube, block)
         self._tube = TubeStream(tube, block, gradient, self.prefix + "tube_")
         layout = self.layout
         self.condensation = Condensation(
@@ -252,7 +254,7 @@ class CoupledSolver:
             Force on the faces.
         velocity, pressure : PETSc.Vec
         rtol : float, optional
-            In place of the solver's relative tolerance.
+            In place of the solver's relative tolerance, where it is larger.
 
         Returns
         -------
@@ -273,7 +275,7 @@ class CoupledSolver:
 
         usual = self.ksp.getTolerances()[0]
         if rtol is not None:
-            self.ksp.setTolerances(rtol=rtol)
+            self.ksp.setTolerances(rtol=max(rtol, usual))
         if self.condensation is None:
             self.ksp.solve(self._rhs, self._solution)
         else:

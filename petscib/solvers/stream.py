@@ -15,7 +15,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from ..fluid.operators import assemble
-from .condensation import TubeCholesky
+from .cholesky import Cholesky
 
 
 def _edge_map(tube):
@@ -98,33 +98,32 @@ class TubeStream:
     Parameters
     ----------
     tube : Tube
-    fluid : PETSc.Mat
-        The fluid matrix among the tube's faces (sequential).
+    block : TubeBlock
+        The momentum matrix among the tube's faces.
     gradient : PETSc.Mat
         The gradient from the tube's inner cells to its faces (sequential).
     prefix : str
         Options prefix of the Cholesky factorisations.
     """
 
-    def __init__(self, tube, fluid, gradient, prefix):
-        self.faces, self.cells = len(tube.faces), len(tube.cells)
-        self.fluid, self.gradient = fluid, gradient
-        self.velocity = TubeCholesky(prefix)
-        self.pressure = TubeCholesky(prefix)
+    def __init__(self, tube, block, gradient, prefix):
+        self.block, self.gradient = block, gradient
+        self.count = len(tube.faces) + len(tube.cells)
+        self.velocity = Cholesky(prefix)
+        self.pressure = Cholesky(prefix)
         self._product = self._matrix = None
-        if not self.faces:
+        if not block.size:
             return
         self.basis = divergence_free_basis(tube)
-        self.interpolation = tube.interpolation()
-        self._projected_fluid = fluid.ptap(self.basis)
-        self._projected_interpolation = self.interpolation.matMult(self.basis)
+        self._projected_fluid = block.fluid.ptap(self.basis)
+        self._projected_interpolation = block.interpolation.matMult(self.basis)
         self.pressure.factor(gradient.transposeMatMult(gradient))
         self._psi, self._w = self.basis.createVecs()
 
     def factor(self, stiffness, scale):
         """Factor for a membrane stiffness W; `scale` is the factor of J^T W J."""
-        self._stiffness, self._scale = stiffness, scale
-        if not self.faces:
+        self.block.set(stiffness, scale)
+        if not self.block.size:
             return
         force = stiffness.matrix()
         self._product = force.ptap(self._projected_interpolation, result=self._product)
@@ -139,37 +138,33 @@ class TubeStream:
         self._matrix.axpy(scale, self._product, subset)
         self.velocity.factor(self._matrix)
 
+    def _solve(self, rhs):
+        self._w.getArray()[:] = rhs
+        self.basis.multTranspose(self._w, self._psi)
+        self._psi.getArray()[:] = self.velocity.solve(self._psi.getArray(readonly=True))
+        self.basis.mult(self._psi, self._w)
+        return self._w.getArray(readonly=True).copy()
+
     def solve(self, rhs):
         """Velocities for the array r on the faces, zeros in place of pressures.
 
         Entries of `rhs` on cells must be zero; they are not read.
         """
-        answer = np.zeros(self.faces + self.cells)
-        if self.faces:
-            self._w.getArray()[:] = rhs[: self.faces]
-            self.basis.multTranspose(self._w, self._psi)
-            self._psi.getArray()[:] = self.velocity.solve(self._psi.getArray(readonly=True))
-            self.basis.mult(self._psi, self._w)
-            answer[: self.faces] = self._w.getArray(readonly=True)
+        answer = np.zeros(self.count)
+        faces = self.block.size
+        if faces:
+            answer[:faces] = self.block.refine(self._solve, rhs[:faces])
         return answer
 
     def solve_with_pressure(self, rhs):
         """Velocities and pressures for the array r on the faces."""
         answer = self.solve(rhs)
-        if not self.faces:
-            return answer
-        left = self._w.duplicate()
-        self.fluid.mult(self._w, left)
-        residual = rhs[: self.faces] - left.getArray(readonly=True)
-        seen = self.interpolation.createVecLeft()
-        self.interpolation.mult(self._w, seen)
-        velocity = seen.getArray(readonly=True).reshape(-1, 2)
-        seen.getArray()[:] = self._scale * self._stiffness.apply(velocity).ravel()
-        self.interpolation.multTranspose(seen, left)
-        left.getArray()[:] = residual - left.getArray(readonly=True)
-        slope = self.gradient.createVecRight()
-        self.gradient.multTranspose(left, slope)
-        answer[self.faces :] = self.pressure.solve(slope.getArray(readonly=True))
+        faces = self.block.size
+        if faces:
+            self._w.getArray()[:] = rhs[:faces] - self.block.multiply(answer[:faces])
+            slope = self.gradient.createVecRight()
+            self.gradient.multTranspose(self._w, slope)
+            answer[faces:] = self.pressure.solve(slope.getArray(readonly=True))
         return answer
 
     def destroy(self):

@@ -1,0 +1,138 @@
+"""The geometric schemes: coupled, with a tangent for which the true stretching evolves exactly."""
+
+import numpy as np
+
+from ..errors import SolveError
+from ..membrane import geometry
+from ..problem import State, Step
+from ..solvers.anderson import Anderson
+from ..solvers.saddle import CoupledSolver
+
+# A pass is solved this much more accurately than the positions changed in the pass before.
+INNER_FRACTION = 0.02
+ANDERSON_DEPTH = 5
+
+
+class Geometric:
+    """Backward Euler and Crank-Nicolson with the averaged tangent.
+
+    With tau = (D_s X^{n+1} + D_s X^n) / (|D_s X^{n+1}| + |D_s X^n|) the identity
+    |D_s X^{n+1}| - |D_s X^n| = dt D_s U . tau holds, so that evolved and geometric stretching
+    agree and the energy law is that of the true geometry.  Crank-Nicolson also interpolates and
+    spreads at the mean position, which makes it second order in time.
+
+    The tangent depends on the new positions: Picard iteration with Anderson acceleration,
+    starting from the positions extrapolated with the last step's velocity.
+
+    Parameters
+    ----------
+    problem : Problem
+        With a membrane.
+    theta : float
+        1 for backward Euler, 1/2 for Crank-Nicolson.
+    controls : Controls
+        picard_rtol: largest change of the positions in the last pass, relative to the largest
+        displacement of the step; picard_max_it.
+    solver : CoupledSolver, optional
+        Shared with another scheme.
+    """
+
+    advice = "try a smaller -ts_dt"
+
+    def __init__(self, problem, theta, controls, solver=None):
+        self.problem = problem
+        self.theta = theta
+        self.controls = controls
+        self.coupled = solver or CoupledSolver(problem.operators, problem.rho, problem.mu)
+        self._rhs = problem.grid.velocity_vector()
+
+    def step(self, state, dt):
+        """Take one step from `state`.  Collective.  Returns a Step."""
+        problem, membrane, theta = self.problem, self.problem.membrane, self.theta
+        stage, pressure = state.velocity.copy(), state.pressure.copy()
+        guess = state.markers + dt * state.history.get("marker_velocity", 0.0)
+        acceleration = Anderson(ANDERSON_DEPTH)
+        interpolation = problem.interpolation(state.markers) if theta == 1 else None
+        change, passes, iterations = 1.0, 0, 0
+
+        while change > self.controls.picard_rtol:
+            if passes == self.controls.picard_max_it:
+                raise SolveError(
+                    f"the averaged tangent did not converge in {passes} passes (the markers "
+                    f"still change by {change:.1e} of their displacement)"
+                )
+            if theta < 1:
+                interpolation = self._move(interpolation, (state.markers + guess) / 2)
+            tangent = averaged_tangent(state.markers, guess, membrane.ds)
+            rtol = INNER_FRACTION * change
+            iterations += self._solve(state, dt, interpolation, tangent, stage, pressure, rtol)
+
+            # X^{n+1} = X^n + dt J w
+            marker_velocity = interpolation.interpolate(stage)
+            markers = state.markers + dt * marker_velocity
+            change = self._relative_change(guess, markers, state.markers)
+            guess = acceleration.next(guess, markers)
+            passes += 1
+        interpolation.destroy()
+
+        # u^{n+1} = u^n + (w - u^n) / theta
+        velocity = stage.copy()
+        velocity.axpby(1 - 1 / theta, 1 / theta, state.velocity)
+        rate = geometry.surface_divergence(marker_velocity, tangent, membrane.ds)
+        end = State(
+            state.step + 1,
+            state.time + dt,
+            velocity,
+            pressure,
+            markers,
+            problem.next_stretch(state.stretch, rate, dt, markers),
+            {"marker_velocity": marker_velocity},
+        )
+        return Step(
+            dt,
+            theta,
+            state,
+            end,
+            stage,
+            stretch_rate=rate,
+            marker_velocity=marker_velocity,
+            iterations={"coupled": iterations, "picard": passes},
+        )
+
+    def _solve(self, state, dt, interpolation, tangent, stage, pressure, rtol):
+        """The coupled equations of one pass for a given tangent.
+
+        rho (w - u^n) / (theta dt) + grad p = mu Laplacian w + F[force^n - theta dt W J w],
+        div w = 0.
+        """
+        problem, interval = self.problem, self.theta * dt
+        self.coupled.update(interval, interpolation, problem.membrane.stiffness(tangent))
+        problem.fluid_rhs(state.velocity, interval, self._rhs)
+        force = problem.membrane.force(state.markers, state.stretch, tangent)
+        interpolation.spread_add(force, self._rhs)
+        return self.coupled.solve(self._rhs, stage, pressure, rtol)
+
+    def _move(self, interpolation, markers):
+        if interpolation is not None:
+            interpolation.destroy()
+        return self.problem.interpolation(markers)
+
+    def _relative_change(self, before, after, start):
+        """Largest change of a marker, relative to the largest displacement.  Collective."""
+        change = None
+        if len(after):
+            moved = geometry.length(after - start).max()
+            # Markers at rest have converged when they stay within round-off of the grid.
+            floor = np.finfo(float).eps * min(self.problem.grid.dx, self.problem.grid.dy)
+            change = geometry.length(after - before).max() / max(moved, floor)
+        return self.problem.grid.comm.tompi4py().bcast(change)
+
+    def destroy(self):
+        """Free the solver."""
+        self.coupled.destroy()
+
+
+def averaged_tangent(start, end, ds):
+    """Mean of the edges of two curves over the mean of their lengths, at the half points."""
+    before, after = geometry.to_half_points(start, ds), geometry.to_half_points(end, ds)
+    return (after + before) / (geometry.length(after) + geometry.length(before))[:, None]
