@@ -15,7 +15,8 @@ def main(arguments=None):
     Returns
     -------
     int
-        Exit status, the same on every rank: 0; 2 for bad input; 3 when the run failed.
+        Exit status, the same on every rank: 0, also after SIGUSR1; 2 for bad input; 3 when the
+        run failed; 130 and 143 when SIGINT and SIGTERM have stopped it.
     """
     arguments = sys.argv[1:] if arguments is None else arguments
     asked = [word for word in arguments if word.lower() in ("-help", "--help", "-h")]
@@ -27,8 +28,8 @@ def main(arguments=None):
     from mpi4py import MPI
     from petsc4py import PETSc
 
-    from . import options
-    from .errors import InputError, SolveError
+    from . import options, restart
+    from .errors import InputError, OutputError, SolveError
 
     root = MPI.COMM_WORLD.rank == 0
     try:
@@ -39,8 +40,9 @@ def main(arguments=None):
                 print(information)
             return 0
         options.reject_stray_words(arguments)
+        database = restart.merge(database, MPI.COMM_WORLD)
         return _simulate(options.read(database), root)
-    except (InputError, SolveError) as error:
+    except (InputError, SolveError, OutputError) as error:
         if root:
             print(f"petscib: {error}", file=sys.stderr, flush=True)
         return error.exit_status
@@ -52,17 +54,21 @@ def main(arguments=None):
 
 
 def _simulate(settings, root):
+    from .interrupt import Interrupt, exit_status
     from .output.monitor import closing_lines
     from .simulation import Simulation
 
-    simulation = Simulation(settings)
-    try:
-        summary = simulation.run()
-    finally:
-        simulation.destroy()
-    if root:
-        print("\n".join(closing_lines(summary)), flush=True)
-    return 0
+    with Interrupt() as interrupt:
+        simulation = Simulation(settings, interrupt=interrupt)
+        try:
+            summary = simulation.run()
+        finally:
+            simulation.destroy()
+        if root:
+            print("\n".join(closing_lines(summary)), flush=True)
+            if simulation.signal:
+                print(f"stopped early; to go on: -restart latest -output {settings.output}")
+        return exit_status(simulation.signal)
 
 
 if __name__ == "__main__":

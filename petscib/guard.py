@@ -14,17 +14,22 @@ def check(problem, state):
     SolveError
         On all ranks, naming what went wrong.
     """
-    grid = problem.grid
-    finite = np.isfinite(state.velocity.norm()) and np.isfinite(state.pressure.norm())
-    why = "" if finite else "the velocity or the pressure is no longer finite"
-    if not why and problem.membrane is not None and len(state.markers):
-        why = _marker_trouble(problem, state.markers)
-    why = grid.comm.tompi4py().allreduce(why, op=MPI.MAX)
-    if why:
-        raise SolveError(why)
+    comm = problem.grid.comm.tompi4py()
+    why = _fluid_trouble(state) or _marker_trouble(problem, state.markers)
+    if comm.allreduce(int(bool(why)), op=MPI.MAX):
+        raise SolveError(next(filter(None, comm.allgather(why))))
+
+
+def _fluid_trouble(state):
+    for name, vector in (("velocity", state.velocity), ("pressure", state.pressure)):
+        if not np.isfinite(vector.getArray(readonly=True)).all():
+            return f"the {name} is no longer finite"
+    return ""
 
 
 def _marker_trouble(problem, markers):
+    if not len(markers):
+        return ""
     if not np.isfinite(markers).all():
         return "the markers are no longer finite"
     a, b, c, d = problem.grid.domain

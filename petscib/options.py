@@ -174,11 +174,12 @@ _ROWS = (
            "named set of defaults; `-scene list` prints them all"),
     Option("fft", Flag(), False, RUN, "fast direct solvers (transforms) under all solves"),
     Option("picard_rtol", FRACTION, 1e-9, RUN, "gbe, gcn: tolerance of the tangent iteration"),
-    Option("picard_max_it", Whole(1, 10000), 50, RUN, "gbe, gcn: most tangent iterations a step"),
+    Option("picard_max_it", Whole(1, 10000), 100, RUN, "gbe, gcn: most tangent iterations a step"),
     Option("ledger", Flag(), False, RUN, "end the run when the energy ledger does not balance"),
     Option("ledger_tol", FRACTION, 1e-6, RUN,
            "largest ledger residual, relative to the largest energy so far"),
-    Option("restart", Path(), None, RUN, "checkpoint to continue from", automatic="none"),
+    Option("restart", Path(), None, RUN, "checkpoint to continue from; `latest`: the newest in the "
+           "output directory", automatic="none"),
 
     Option("stag_grid_x", CELLS, 64, FLUID, "cells across"),
     Option("stag_grid_y", CELLS, None, FLUID, "cells up; when only one of the two is given, the "
@@ -198,8 +199,8 @@ _ROWS = (
     Option("angle", Number(-360, 360), 0.0, SHAPE, "its rotation, counter-clockwise", "degrees"),
     Option("markers", Whole(0, 10**7), 0, SHAPE, "markers, equally spaced in arclength; 0: by "
            "the grid", automatic="0: spacing h/2"),
-    Option("marker_file", Path(), None, SHAPE, "closed curve to use instead of the ellipse",
-           automatic="none"),
+    Option("marker_file", Path(), None, SHAPE, "closed curve to use instead of the ellipse: a "
+           "text file, x and y of one point a line", automatic="none"),
 
     Option("sigma0", NOT_NEGATIVE, 1e5, MEMBRANE, "tension stiffness", "force"),
     Option("bending", NOT_NEGATIVE, 0.01, MEMBRANE, "bending rigidity", "force length^2"),
@@ -219,7 +220,8 @@ _ROWS = (
            automatic="the scene's multiple of h"),
     Option("ts_max_time", POSITIVE, 1.0, TIME, "end time", "time"),
     Option("ts_max_steps", Whole(), None, TIME, "most steps", automatic="no limit"),
-    Option("ts_adapt", Flag(), False, TIME, "choose the time step by itself"),
+    Option("ts_adapt", Flag(), False, TIME, "retry a failed step with half the time step, and "
+           "grow it back later"),
 
     Option("output", Path(), None, OUTPUT, "directory of the results", automatic="out/SCENE"),
     Option("monitor", Choice(("none", "bar", "log")), None, OUTPUT, "progress on the screen",
@@ -304,7 +306,7 @@ def read(database):
     given = {}
     for name, text in database.items():
         if name.lower() in TABLE:
-            given[name.lower()] = _value(TABLE[name.lower()], text or "")
+            given[name.lower()] = value_of(TABLE[name.lower()], text or "")
         elif not is_petsc(name.lower()):
             raise InputError(_unknown(name, text or ""))
     scene = scenes.SCENES[given.get("scene", scenes.DEFAULT)]
@@ -315,7 +317,7 @@ def read(database):
     resolve(values, set(given), scene.dt_over_h)
     settings = Settings(values, given)
     for name in ("stag_grid_x", "stag_grid_y"):  # one of them may follow from the other
-        _value(TABLE[name], text_of(getattr(settings, name)))
+        value_of(TABLE[name], text_of(getattr(settings, name)))
     check(settings, [option.name for option in _ROWS if option.group in (SHAPE, MEMBRANE)
                      and option.name not in ("delta", "stretch")])
     return settings
@@ -352,7 +354,8 @@ def reject_stray_words(arguments):
                              f"an option; allowed: {allowed}")
 
 
-def _value(option, text):
+def value_of(option, text):
+    """The value of one option from its text; raises InputError."""
     try:
         if text == "" and not isinstance(option.kind, Flag):
             raise ValueError("needs a value")
@@ -415,7 +418,7 @@ def help_text():
     lines += ["", "Solvers: PETSc's ksp_ and pc_ options behind each prefix, as in "
               "-momentum_ksp_rtol 1e-8"]
     for prefix, text in SOLVERS:
-        lines += _entry(f"-{prefix}*", text)
+        lines += _entry(f"-{prefix}*" if prefix.endswith("_") else f"-{prefix}", text)
     lines += ["", "PETSc"]
     for name, text in (
             ("-options_file PATH", "read options from a file, one `-name value` a line"),

@@ -39,6 +39,12 @@ class State:
     stretch: np.ndarray
     history: dict = field(default_factory=dict)
 
+    def destroy(self):
+        """Free its vectors.  Collective."""
+        for vector in (self.velocity, self.pressure, *self.history.values()):
+            if isinstance(vector, PETSc.Vec):
+                vector.destroy()
+
 
 @dataclass
 class Step:
@@ -77,13 +83,12 @@ class Step:
 
     def discard(self):
         """Free the vectors that only this step and its start hold.  Collective."""
+        self.start.destroy()
         for part in self.parts[:-1]:
-            for vector in (part.stage, part.projection, part.end.velocity, part.end.pressure):
-                if vector is not None:
-                    vector.destroy()
-        for vector in (self.start.velocity, self.start.pressure, self.stage, self.projection):
-            if vector is not None:
-                vector.destroy()
+            part.end.destroy()
+        for step in self.parts or (self,):
+            if step.projection is not None:
+                step.projection.destroy()
 
 
 class Problem:
@@ -124,6 +129,23 @@ class Problem:
         rhs.scale(self.rho / interval)
         if self.operators.wall_source is not None:
             rhs.axpy(self.mu, self.operators.wall_source)
+
+    def first_guess(self, state):
+        """The stage velocity, extrapolated from the last two steps (a new vector)."""
+        history = state.history
+        guess = history.get("stage", state.velocity).copy()
+        if "stage_change" in history:
+            guess.axpy(1.0, history["stage_change"])
+        return guess
+
+    @staticmethod
+    def next_history(state, stage):
+        """What the first guess of the next step is made of; takes the stage over."""
+        history = {"stage": stage}
+        if "stage" in state.history:
+            history["stage_change"] = stage.copy()
+            history["stage_change"].axpy(-1.0, state.history["stage"])
+        return history
 
     def next_stretch(self, stretch, stretch_rate, dt, markers):
         """The stretching to carry on with: evolved, or that of the new markers."""

@@ -124,7 +124,7 @@ def check(settings, shape_options):
     _check_choices(settings)
     _check_vesicle(settings, shape_options)
     _check_files(settings)
-    if settings.axes is not None:
+    if settings.axes is not None and settings.restart is None:
         check_ellipse(settings)
 
 
@@ -138,19 +138,37 @@ def check_domain(domain):
 
 def check_ellipse(settings):
     """Refuse an ellipse that leaves the box, feels a wall, or is too coarsely marked."""
-    a, b, c, d = settings.domain
-    dx, dy = (b - a) / settings.stag_grid_x, (d - c) / settings.stag_grid_y
     angle, (rx, ry) = np.radians(settings.angle), settings.axes
     # X = center + R(angle) (rx sin s, ry cos s): the amplitudes of x and y over s.
-    half_width = np.hypot(rx * np.cos(angle), ry * np.sin(angle))
-    half_height = np.hypot(rx * np.sin(angle), ry * np.cos(angle))
+    half_sizes = np.hypot(
+        (rx * np.cos(angle), rx * np.sin(angle)), (ry * np.sin(angle), ry * np.cos(angle))
+    )
+    low, high = settings.center - half_sizes, settings.center + half_sizes
+    check_curve(settings, low, high, ellipse_perimeter((rx, ry)), ("center", "axes", "angle"))
+
+
+def check_curve(settings, low, high, perimeter, names):
+    """Refuse a closed curve that leaves the box, feels a wall, or is too coarsely marked.
+
+    Parameters
+    ----------
+    settings : Settings
+    low, high : (float, float)
+        Corners of the rectangle that just holds the curve.
+    perimeter : float
+    names : tuple of str
+        The options that gave the curve.
+
+    Raises
+    ------
+    InputError
+    """
+    a, b, c, d = settings.domain
+    dx, dy = (b - a) / settings.stag_grid_x, (d - c) / settings.stag_grid_y
     reach = KERNELS[settings.delta].reach
-    x, y = settings.center
-    placing = "center", "axes", "angle", "domain", "delta", "stag_grid_x", "stag_grid_y"
-    for gap, cell, wall in ((x - half_width - a, dx, f"x = {a:g}"),
-                            (b - x - half_width, dx, f"x = {b:g}"),
-                            (y - half_height - c, dy, f"y = {c:g}"),
-                            (d - y - half_height, dy, f"y = {d:g}")):
+    placing = *names, "domain", "delta", "stag_grid_x", "stag_grid_y"
+    for gap, cell, wall in ((low[0] - a, dx, f"x = {a:g}"), (b - high[0], dx, f"x = {b:g}"),
+                            (low[1] - c, dy, f"y = {c:g}"), (d - high[1], dy, f"y = {d:g}")):
         # The slack allows a vesicle placed exactly at the reach, against round-off.
         if gap < reach * cell * (1 - 1e-9):
             why = (f"the vesicle lies {-gap:.3g} beyond the wall {wall}" if gap < 0 else
@@ -159,11 +177,11 @@ def check_ellipse(settings):
                     f"({reach * cell:.3g}), the reach of -delta {settings.delta}")
 
     spacing = min(dx, dy)
-    perimeter = ellipse_perimeter((rx, ry))
     markers = settings.markers or round(perimeter / (0.5 * spacing))
     fewest = max(FEWEST_MARKERS, int(np.ceil(perimeter / (WIDEST_SPACING * spacing))))
     if markers < fewest:
-        names = ("markers",) if settings.markers else ("axes", "stag_grid_x", "stag_grid_y")
+        sizes = [name for name in names if name != "center"]
+        names = ("markers",) if settings.markers else (*sizes, "stag_grid_x", "stag_grid_y")
         _refuse(settings, names, f"{markers} markers on a perimeter of {perimeter:.3g}",
                 f"at least {fewest} markers ({FEWEST_MARKERS}, and at most {WIDEST_SPACING:g} "
                 "cells apart)")
@@ -191,6 +209,9 @@ def _check_vesicle(settings, shape_options):
         return
     if settings.marker_file is not None and settings.axes is not None:
         _refuse(settings, ("axes",), "-marker_file gives the shape already", "one of the two")
+    for name in ("center", "angle"):
+        if settings.marker_file is not None and name in settings.given:
+            _refuse(settings, (name,), "-marker_file gives the place already", "one of the two")
     if "rest_length" in settings.given and settings.sigma0 == 0:
         _refuse(settings, ("rest_length",), "has no meaning without tension (sigma0 is 0)",
                 "-sigma0 above 0, or no -rest_length")
@@ -199,7 +220,8 @@ def _check_vesicle(settings, shape_options):
 def _check_files(settings):
     for name in ("restart", "marker_file"):
         path = getattr(settings, name)
-        if path is not None and not os.path.isfile(path):
+        needed = name == "restart" or settings.restart is None  # the saved markers suffice
+        if path is not None and needed and not os.path.isfile(path):
             _refuse(settings, (name,), "no such file", "an existing file")
     folder = os.path.abspath(settings.output)
     while not os.path.exists(folder):

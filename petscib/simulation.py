@@ -1,63 +1,42 @@
 """A run from its settings: build, step until finished, leave the results."""
 
+import gc
 import math
+import signal
 from time import perf_counter
 
 import numpy as np
+from mpi4py import MPI
 from petsc4py import PETSc
 
-from . import events, guard
-from .coupling.kernels import KERNELS
+from . import events, guard, schemes, solver_options
 from .diagnostics import Diagnostics
-from .errors import SolveError
+from .errors import InputError, OutputError, SolveError
 from .events import phase
-from .fluid.grid import Grid
-from .fluid.operators import Operators
-from .fluid.walls import Walls
-from .membrane import geometry, shapes
-from .membrane.forces import Membrane
+from .interrupt import Interrupt
+from .output import checkpoint
+from .output.checkpoint import Progress
 from .output.results import Results
-from .problem import Problem, State
-from .schemes import SCHEMES
+from .settings import text_of
+from .start import build_problem
+from .stepsize import StepSize
 
-ROUND_OFF = 1e-9  # of a time step: what is left of a run when it counts as finished
-
-
-def build_problem(settings, comm):
-    """Problem and initial state.  Collective."""
-    grid = Grid((settings.stag_grid_x, settings.stag_grid_y), settings.domain, comm)
-    walls = Walls(grid, settings.flow, settings.shear_rate)
-    operators = Operators(grid, walls)
-    membrane, markers, stretch = None, np.zeros((0, 2)), np.zeros(0)
-    if settings.vesicles:
-        markers, ds = _markers(settings, grid)
-        stretch = geometry.stretching(markers, ds)
-        rest = stretch
-        if settings.rest_length is not None:
-            rest = np.full_like(stretch, settings.rest_length)
-        membrane = Membrane(ds, settings.sigma0, settings.bending, rest)
-    problem = Problem(
-        grid,
-        operators,
-        settings.rho,
-        settings.mu,
-        membrane,
-        KERNELS[settings.delta],
-        settings.stretch == "evolve",
-    )
-    velocity, pressure = grid.velocity_vector(), grid.pressure_vector()
-    walls.fill(velocity)
-    return problem, State(0, 0.0, velocity, pressure, markers, stretch)
+ROUND_OFF = 1e-6  # of a time step: what is left of a run when it counts as finished
 
 
-def _markers(settings, grid):
-    """Initial markers on rank 0, none elsewhere, and the parameter step."""
-    length = shapes.ellipse_perimeter(settings.axes)
-    count = settings.markers or round(length / (0.5 * min(grid.dx, grid.dy)))
-    markers = np.zeros((0, 2))
-    if grid.comm.rank == 0:
-        markers = shapes.ellipse(settings.axes, settings.center, settings.angle, count)
-    return markers, length / count
+def _use_transforms(settings):
+    """Make fast direct solvers the default."""
+    from .solvers import transforms  # needs scipy
+
+    fluid_alone = settings.scheme == "ep" or not settings.vesicles
+    transforms.use("momentum_", transforms.FluidTransform, fluid_alone)
+    transforms.use("poisson_", transforms.PoissonTransform, alone=True)
+    transforms.use("coupled_velocity_", transforms.FluidTransform, alone=True)
+    transforms.use("coupled_poisson_", transforms.PoissonTransform, alone=True)
+
+
+def _controls(settings):
+    return schemes.Controls(settings.startup, settings.picard_rtol, settings.picard_max_it)
 
 
 class Simulation:
@@ -66,23 +45,73 @@ class Simulation:
     Parameters
     ----------
     settings : Settings
+        With `restart`, the run continues from that file.
     comm : PETSc.Comm, optional
+    interrupt : Interrupt, optional
+        Where signals that ask the run to stop are noted.
+
+    Raises
+    ------
+    InputError
+        On all ranks; nothing has been written.
     """
 
-    def __init__(self, settings, comm=None):
+    def __init__(self, settings, comm=None, interrupt=None):
         self.settings = settings
-        self.began = perf_counter()
+        self.interrupt = interrupt or Interrupt()
+        self.signal = 0
+        self.saved_in = None
+        self.began = self.saved_at = perf_counter()
+        comm = comm or PETSc.COMM_WORLD
+        self.comm = comm.tompi4py()
+        asked = solver_options.given()
+        header = self._header(settings) if settings.restart is not None else None
+        self.progress = header.progress if header else Progress()
+        self.progress.solver_options = asked
         with phase("set-up"):
-            self.problem, self.state = build_problem(settings, comm or PETSc.COMM_WORLD)
-            self.scheme = SCHEMES[settings.scheme](self.problem)
-            self.diagnostics = Diagnostics(self.problem)
-        steps = math.ceil(settings.ts_max_time / settings.ts_dt - ROUND_OFF)
-        self.last_step = min(steps, settings.ts_max_steps or steps)
-        self.results = Results(settings, self.problem, self.last_step)
-        self.largest_energy = 0.0
+            self.problem, self.state = build_problem(settings, comm, header)
+            if settings.fft:
+                _use_transforms(settings)
+            self.scheme = schemes.create(settings.scheme, self.problem, _controls(settings))
+            self.diagnostics = Diagnostics(self.problem, self.progress.reference or None)
+        reduced = header and self.progress.dt < header.options["ts_dt"]
+        self.step_size = StepSize(
+            settings.ts_dt,
+            settings.ts_adapt,
+            self.progress.dt if reduced else None,
+            self.progress.good_steps,
+        )
+        self.first_step = self.state.step
+        left = (settings.ts_max_time - self.state.time) / settings.ts_dt
+        steps = self.first_step + math.ceil(left - ROUND_OFF)
+        most = math.inf if settings.ts_max_steps is None else settings.ts_max_steps
+        # Fixed steps are counted: the round-off in the sum of many must not add one.
+        self.last_step = most if settings.ts_adapt else min(steps, most)
+        self.wall_seconds_before = self.progress.wall_seconds
+        self.results = Results(settings, self.problem, min(steps, most), header)
+
+    def _header(self, settings):
+        """Header of the file to continue from.  Collective."""
+        header, trouble = None, ""
+        if self.comm.rank == 0:
+            try:
+                header = checkpoint.read_header(settings.restart)
+            except InputError as error:
+                trouble = str(error)
+        header, trouble = self.comm.bcast((header, trouble))
+        if trouble:
+            raise InputError(trouble)
+        for name, reached in (("ts_max_time", header.time), ("ts_max_steps", header.step)):
+            end = getattr(settings, name)
+            if end is not None and end <= reached:
+                raise InputError(
+                    f"-{name} {text_of(end)}: {header.path} has reached {text_of(reached)} "
+                    "already; allowed: more than that"
+                )
+        return header
 
     def run(self):
-        """Step until the end time or the last step; leave the results.
+        """Step until the end time, the last step or a signal; leave the results.
 
         Returns
         -------
@@ -93,22 +122,35 @@ class Simulation:
         ------
         SolveError
             A step failed; the state before it has been saved.
+        OutputError
+            Results could not be written.
         """
         results, settings = self.results, self.settings
-        first = self.state.step
-        results.monitor.start(first, self.state.time, settings.ts_max_time, self.last_step)
-        self._record(None)
+        first = self.first_step
+        last = self.last_step if self.last_step < math.inf else None
+        results.monitor.start(first, self.state.time, settings.ts_max_time, last)
         try:
-            while not self._finished():
+            if first == 0:  # a restart has the row of its first state already
+                self._record(None)
+                self._output(results.write_fields, self.state)
+            while not self._finished() and not self.signal:
                 self._advance()
+                self._save_when_due()
+                if self.state.step == first + 1:
+                    self._warn_of_unread_options()
+            if not self.signal:
+                self._save("final.h5")
+        except OutputError as error:
+            last = f"; the last checkpoint is {self.saved_in}" if self.saved_in else ""
+            raise OutputError(f"results could not be written: {error}{last}") from None
         finally:
             results.close()
+        ended = signal.Signals(self.signal).name if self.signal else "finished"
         with phase("output"):
-            results.save("final.h5", self.state, self.diagnostics.reference)
-            if settings.plot:
+            if settings.plot and not self.signal:
                 results.draw()
-        seconds = perf_counter() - self.began
-        return results.summarise(self.state.step - first, seconds, events.seconds)
+            seconds = perf_counter() - self.began
+            return results.summarise(self.state.step - first, seconds, events.seconds, ended)
 
     def _finished(self):
         left = self.settings.ts_max_time - self.state.time
@@ -116,32 +158,91 @@ class Simulation:
 
     def _next_dt(self):
         """The time step, shortened to end on time but for round-off."""
-        dt, left = self.settings.ts_dt, self.settings.ts_max_time - self.state.time
+        dt, left = self.step_size.dt, self.settings.ts_max_time - self.state.time
         return left if left < (1 - ROUND_OFF) * dt else dt
 
     def _advance(self):
-        try:
-            step = self.scheme.step(self.state, self._next_dt())
-            guard.check(self.problem, step.end)
-        except SolveError as error:
-            saved = self.results.save(
-                f"checkpoint-{self.state.step:08d}.h5", self.state, self.diagnostics.reference
-            )
-            raise SolveError(
-                f"step {self.state.step + 1} from time {self.state.time:.6g} failed: {error}; "
-                f"{self.scheme.advice}; the state before it is in {saved}"
-            ) from None
+        """Take a step, with -ts_adapt in as many attempts as it needs.  Collective."""
+        while True:
+            dt = self._next_dt()
+            try:
+                step = self._attempt(dt)
+                break
+            except SolveError as error:
+                if not self.step_size.reject(dt):
+                    raise self._failure(error) from None
+                self.results.say(
+                    f"petscib: step {self.state.step + 1} with dt = {dt:.3g} failed: {error}; "
+                    f"trying {self.step_size.dt:.3g}"
+                )
+            # Python's objects on several ranks are freed only together.
+            gc.collect()
+            PETSc.garbage_cleanup()
+        self.step_size.accept()
         self.state = step.end
         if self.state.step % self.settings.diagnostics_every == 0 or self._finished():
             self._record(step)
+        self._output(self.results.write_fields, self.state)
         step.discard()
+
+    def _attempt(self, dt):
+        step = self.scheme.step(self.state, dt)
+        guard.check(self.problem, step.end)
+        return step
+
+    def _failure(self, error):
+        """What to raise when a step failed for good, after saving the state before it."""
+        try:
+            saved = f"the state before it is in {self._save()}"
+        except OutputError as failure:
+            saved = f"the state before it could not be saved ({failure})"
+        return SolveError(
+            f"step {self.state.step + 1} from time {self.state.time:.6g} failed: {error}; "
+            f"{self.scheme.advice}; {saved}"
+        )
 
     def _record(self, step):
         with phase("diagnostics"):
             row = self.diagnostics.row(self.state, step)
-        row["wall_seconds"] = perf_counter() - self.began
+        self.progress.largest_energy = max(self.progress.largest_energy, row["energy"])
+        row["wall_seconds"] = self._wall_seconds()
+        self._output(self.results.record, row, self.state)
+
+    def _save_when_due(self):
+        """Agree on what signals and the clock ask for, and do it.  Collective."""
+        minutes, every = self.settings.checkpoint_minutes, self.settings.checkpoint_every
+        late = minutes and perf_counter() - self.saved_at >= 60 * minutes
+        mine = np.array([self.interrupt.caught, bool(late and self.comm.rank == 0)])
+        agreed = np.empty_like(mine)
+        self.comm.Allreduce(mine, agreed, op=MPI.MAX)
+        self.signal, late = agreed.tolist()
+        if (self.signal or late or every and self.state.step % every == 0) and not (
+            self._finished() and not self.signal
+        ):
+            self._save()
+
+    def _save(self, name=None):
+        """Write a checkpoint.  Returns its path."""
+        progress = self.progress
+        progress.dt, progress.good_steps = self.step_size.dt, self.step_size.good_steps
+        progress.wall_seconds = self._wall_seconds()
+        progress.reference = self.diagnostics.reference or {}
+        self.saved_at = perf_counter()
+        self.saved_in = self._output(self.results.save, self.state, progress, name)
+        return self.saved_in
+
+    def _wall_seconds(self):
+        return self.wall_seconds_before + perf_counter() - self.began
+
+    def _output(self, write, *arguments):
         with phase("output"):
-            self.results.record(row, self.state)
+            return write(*arguments)
+
+    def _warn_of_unread_options(self):
+        """Name options for the solvers that no solver has read, once all have been set up."""
+        # The tube's solver lives on rank 0 only.
+        for name in solver_options.unread(self.progress.solver_options):
+            self.results.say(f"petscib: no solver has read -{name}")
 
     def destroy(self):
         """Free the solvers, before PETSc goes."""

@@ -88,6 +88,26 @@ def laplacian(grid):
     return np.block([[u, zero], [zero.T, v]])
 
 
+def laplacian_of_flow(grid, flow, values):
+    """Laplacian at the inner faces of `values` (natural order) between walls moving with a flow.
+
+    Over a wall half a cell away, the value is twice the wall's less that inside.  `flow` takes x
+    and y and gives u and v.
+    """
+    a, b, c, d = (np.array([[wall]]) for wall in grid.domain)
+    split = grid.u_index.size
+    x = grid.u_points()[0]
+    u = values[:split].reshape(grid.u_index.shape)
+    u_high = np.vstack((2 * flow(x, c)[0] - u[:1], u, 2 * flow(x, d)[0] - u[-1:]))
+    y = grid.v_points()[1]
+    v = values[split:].reshape(grid.v_index.shape)
+    v_wide = np.hstack((2 * flow(a, y)[1] - v[:, :1], v, 2 * flow(b, y)[1] - v[:, -1:]))
+    of_u = np.diff(u, 2, axis=1) / grid.dx**2 + np.diff(u_high, 2, axis=0)[:, 1:-1] / grid.dy**2
+    of_v = np.diff(v, 2, axis=0) / grid.dy**2 + np.diff(v_wide, 2, axis=1)[1:-1] / grid.dx**2
+    return np.concatenate((np.pad(of_u, ((0, 0), (1, 1))).ravel(),
+                           np.pad(of_v, ((1, 1), (0, 0))).ravel()))
+
+
 def divergence(grid):
     """Divergence from all faces to cells."""
     def forward(count, h):
@@ -166,5 +186,5 @@ def problem(**values):
     if words["flow"] == "rest":
         words.pop("shear_rate", None)
     settings = options.read({name: str(value) for name, value in words.items()})
-    from petscib.simulation import build_problem
+    from petscib.start import build_problem
     return build_problem(settings, PETSc.COMM_WORLD)

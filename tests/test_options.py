@@ -491,9 +491,9 @@ def test_help_shows_every_option_with_range_default_and_unit():
             assert f"({option.kind.allowed}; default: {option.default_text})" in flowing
     for group in options.GROUPS:
         assert f"\n{group}\n" in text
-    for name in ("-momentum_*", "-momentum_tube_*", "-momentum_outer_*", "-poisson_*",
-                 "-coupled_*", "-coupled_tube_*", "-coupled_outer_velocity_*",
-                 "-coupled_outer_poisson_*", "-options_file ", "-options_file_yaml ",
+    for name in ("-momentum_*", "-momentum_tube_*", "-momentum_condense", "-poisson_*",
+                     "-coupled_*", "-coupled_tube_*", "-coupled_velocity_*",
+                     "-coupled_poisson_*", "-options_file ", "-options_file_yaml ",
                  "PETSC_OPTIONS", "-log_view", "-scene list"):
         assert name in text
 

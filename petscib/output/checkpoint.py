@@ -1,27 +1,114 @@
-"""Checkpoint files: the whole state in natural order, whatever the number of ranks."""
+"""Checkpoint files: the whole state of a run, from which it continues as if nothing had happened.
+
+One HDF5 file a save: ``checkpoint-<step, 8 digits>.h5``, and ``final.h5`` at the end.  It appears
+under its name only when complete.  All fields are in natural order, whatever the number of ranks:
+row index y, column index x; m x n cells of size dx x dy on the box a <= x <= b, c <= y <= d.
+
+Attributes of the root:
+
+==================  ==============================================================================
+format_version      1
+petscib_version     of the program that wrote it
+step, time          of the state
+dt                  time step to go on with (-ts_dt unless -ts_adapt has reduced it)
+good_steps          accepted steps since `dt` last changed (-ts_adapt)
+scheme              name of the scheme
+options             every option as JSON, names to values; ``given`` lists those the user gave
+solver_options      the options under the solvers' prefixes that the user gave, names to texts, JSON
+largest_energy      largest energy of any row so far: the scale of the ledger's residual
+wall_seconds        of the run so far, restarts included
+==================  ==============================================================================
+
+Datasets, all of 8-byte floats, with attributes ``unit`` and ``location``:
+
+========================  ===============  ========================================================
+/fluid/u                  (n, m + 1)       x-velocity; entry (j, i) at (a + i dx, c + (j + 1/2) dy)
+/fluid/v                  (n + 1, m)       y-velocity; entry (j, i) at (a + (i + 1/2) dx, c + j dy)
+/fluid/p                  (n, m)           pressure at the cell centres, mean zero
+/vesicle_0/X              (M, 2)           markers, x and y
+/vesicle_0/stretch        (M,)             |X_s| at half points; entry k lies between k - 1 and k
+/vesicle_0/rest_stretch   (M,)             |X_s| without tension, at half points
+========================  ===============  ========================================================
+
+A side of period a lacks the last column of u, or row of v.  The group /fluid has the attributes
+``domain`` (a, b, c, d) and ``spacing`` (dx, dy); /vesicle_0 has ``ds``, the markers' parameter
+step, and ``initial_area`` and ``initial_perimeter``, to which the errors in diagnostics.csv refer.
+
+/history holds what a scheme carries from step to step besides (`State.history`): a dataset for an
+array of the markers, a group with u and v for a velocity, a group with p for a pressure.
+"""
 
 import json
-import os
+from dataclasses import dataclass, field
 
 import h5py
 import numpy as np
+from petsc4py import PETSc
+
+from .. import __version__
+from ..errors import InputError
+from ..problem import State
+from .files import Dataset, explain, write_hdf5
 
 FORMAT_VERSION = 1
+_NUMBERS = ("step", "time", "dt", "good_steps", "largest_energy", "wall_seconds")
 
 
-def gather(comm, box, block, shape):
-    """Natural-order array of the given shape on rank 0, None elsewhere.  Collective."""
-    parts = comm.gather((box, block))
-    if comm.rank:
-        return None
-    whole = np.empty(shape)
-    for part_box, part in parts:
-        whole[part_box] = part
-    return whole
+@dataclass
+class Progress:
+    """What a run knows beside the state.  Equal on all ranks.
+
+    Attributes
+    ----------
+    dt, good_steps
+        Of the `StepSize`.
+    largest_energy : float
+        Largest energy of any row of diagnostics so far.
+    wall_seconds : float
+        Time spent so far, restarts included.
+    reference : dict
+        Initial area and perimeter of the vesicle; empty without one.
+    solver_options : dict of str to str
+        What the user gave under the solvers' prefixes.
+    """
+
+    dt: float = None
+    good_steps: int = 0
+    largest_energy: float = 0.0
+    wall_seconds: float = 0.0
+    reference: dict = field(default_factory=dict)
+    solver_options: dict = field(default_factory=dict)
 
 
-def save(path, problem, state, settings, reference):
-    """Write a checkpoint under a temporary name, flush it, and rename it.  Collective.
+@dataclass
+class Header:
+    """What `read_header` finds in a file beside the arrays.  Plain data.
+
+    Attributes
+    ----------
+    path : str
+    step : int
+    time : float
+    options : dict
+        As `Settings.to_dict` gives it.
+    progress : Progress
+    markers : int
+        Their number; 0 without a vesicle.
+    ds : float
+        Parameter step of the markers.
+    """
+
+    path: str
+    step: int
+    time: float
+    options: dict
+    progress: Progress
+    markers: int = 0
+    ds: float = 0.0
+
+
+def save(path, problem, state, settings, progress):
+    """Write a checkpoint.  Collective.
 
     Parameters
     ----------
@@ -29,38 +116,230 @@ def save(path, problem, state, settings, reference):
     problem : Problem
     state : State
     settings : Settings
-        Stored whole, as JSON.
-    reference : dict or None
-        Initial area and perimeter of the vesicle.
+    progress : Progress
+
+    Raises
+    ------
+    OutputError
+        On all ranks.
     """
     grid = problem.grid
     comm = grid.comm.tompi4py()
-    u, v = grid.velocity_blocks(state.velocity)
-    fields = {
-        "u": gather(comm, grid.u_box, u, grid.u_index.shape),
-        "v": gather(comm, grid.v_box, v, grid.v_index.shape),
-        "p": gather(comm, grid.p_box, grid.pressure_block(state.pressure), grid.p_index.shape),
+    attributes = {
+        "/": {
+            "format_version": FORMAT_VERSION,
+            "petscib_version": __version__,
+            "step": state.step,
+            "time": state.time,
+            "dt": progress.dt,
+            "good_steps": progress.good_steps,
+            "scheme": settings.scheme,
+            "options": json.dumps(settings.to_dict()),
+            "solver_options": json.dumps(progress.solver_options),
+            "largest_energy": progress.largest_energy,
+            "wall_seconds": progress.wall_seconds,
+        },
+        "/fluid": {"domain": grid.domain, "spacing": (grid.dx, grid.dy)},
     }
-    if comm.rank == 0:
-        temporary = f"{path}.part"
-        with h5py.File(temporary, "w") as file:
-            file.attrs["format_version"] = FORMAT_VERSION
-            file.attrs["step"] = state.step
-            file.attrs["time"] = state.time
-            file.attrs["dt"] = settings.ts_dt
-            file.attrs["scheme"] = settings.scheme
-            file.attrs["options"] = json.dumps(settings.to_dict())
-            for name, values in fields.items():
-                file.create_dataset(f"fluid/{name}", data=values)
-            if problem.membrane is not None:
-                vesicle = file.create_group("vesicle_0")
-                vesicle["X"] = state.markers
-                vesicle["stretch"] = state.stretch
-                vesicle["rest_stretch"] = problem.membrane.rest_stretch
-                vesicle.attrs["ds"] = problem.membrane.ds
-                for name, value in reference.items():
-                    vesicle.attrs[f"initial_{name}"] = value
-        with open(temporary, "rb") as file:
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    comm.Barrier()
+    datasets = [
+        *_velocity("fluid", grid, state.velocity),
+        _pressure("fluid", grid, state.pressure),
+    ]
+    if problem.membrane is not None:
+        count = comm.bcast(len(state.markers))
+        attributes["/vesicle_0"] = {
+            "ds": problem.membrane.ds,
+            **{f"initial_{name}": value for name, value in progress.reference.items()},
+        }
+        length, ratio = {"unit": "length"}, {"unit": "1", "location": "half points k - 1/2"}
+        datasets += [
+            Dataset("vesicle_0/X", state.markers, (count, 2), location="markers k", **length),
+            Dataset("vesicle_0/stretch", state.stretch, (count,), **ratio),
+            Dataset("vesicle_0/rest_stretch", problem.membrane.rest_stretch, (count,), **ratio),
+        ]
+    for name, value in state.history.items():
+        datasets += _history(f"history/{name}", grid, comm, value)
+    write_hdf5(path, comm, datasets, attributes)
+
+
+def _velocity(group, grid, vector):
+    u, v = grid.velocity_blocks(vector)
+    unit = "length/time"
+    return [
+        Dataset(f"{group}/u", u, grid.u_index.shape, grid.u_box, unit=unit, location="x-faces"),
+        Dataset(f"{group}/v", v, grid.v_index.shape, grid.v_box, unit=unit, location="y-faces"),
+    ]
+
+
+def _pressure(group, grid, vector):
+    return Dataset(
+        f"{group}/p", grid.pressure_block(vector), grid.p_index.shape, grid.p_box,
+        unit="force/length", location="cell centres",
+    )
+
+
+def _history(path, grid, comm, value):
+    if isinstance(value, PETSc.Vec):
+        if value.getSize() == grid.p_index.size:
+            return [_pressure(path, grid, value)]
+        return _velocity(path, grid, value)
+    value = np.asarray(value, dtype=float)
+    return [Dataset(path, value, comm.bcast(value.shape), unit="", location="markers")]
+
+
+def read_header(path):
+    """Check that a file is a complete checkpoint, and read all but its arrays.  Not collective.
+
+    Raises
+    ------
+    InputError
+        Naming the file and what is wrong with it.
+    """
+    try:
+        if not h5py.is_hdf5(path):
+            open(path, "rb").close()  # says why, when it is not there or may not be read
+            raise InputError(f"{path}: not an HDF5 file, or cut off at its beginning")
+        with h5py.File(path, "r") as file:
+            return _read_header(path, file)
+    except (OSError, RuntimeError, KeyError) as failure:
+        raise InputError(f"{explain(failure, path)} (a damaged or cut off checkpoint)") from None
+
+
+def _read_header(path, file):
+    found = file.attrs
+    if "format_version" not in found:
+        raise InputError(f"{path}: an HDF5 file, but not a checkpoint of petscib")
+    if not np.array_equal(found["format_version"], FORMAT_VERSION):
+        raise InputError(
+            f"{path}: its format version is {found['format_version']}; allowed: {FORMAT_VERSION}, "
+            "which is what this petscib reads and writes"
+        )
+    missing = [name for name in (*_NUMBERS, "options", "solver_options") if name not in found]
+    if missing:
+        raise InputError(f"{path}: damaged, it lacks the attribute {missing[0]}")
+    numbers = {name: found[name].item() for name in _NUMBERS}
+    if not all(np.isfinite(value) for value in numbers.values()):
+        raise InputError(f"{path}: damaged, not every number in its attributes is finite")
+    step, time = numbers.pop("step"), numbers.pop("time")
+    try:
+        progress = Progress(**numbers, solver_options=json.loads(found["solver_options"]))
+        header = Header(path, step, time, json.loads(found["options"]), progress)
+        m, n = header.options["stag_grid_x"], header.options["stag_grid_y"]
+        vesicles = header.options["vesicles"]
+    except (ValueError, TypeError, KeyError) as failure:
+        raise InputError(f"{path}: damaged, its options cannot be read: {failure}") from None
+    _expect(path, file, "fluid/u", (n, m + 1))
+    _expect(path, file, "fluid/v", (n + 1, m))
+    _expect(path, file, "fluid/p", (n, m))
+    if vesicles:
+        _expect(path, file, "vesicle_0/X", (None, 2))
+        vesicle = file["vesicle_0"]
+        header.markers, header.ds = len(vesicle["X"]), vesicle.attrs["ds"].item()
+        for name in ("stretch", "rest_stretch"):
+            _expect(path, file, f"vesicle_0/{name}", (header.markers,))
+        progress.reference = {
+            name: vesicle.attrs[f"initial_{name}"].item() for name in ("area", "perimeter")
+        }
+    return header
+
+
+def _expect(path, file, name, shape):
+    """Refuse a file without a dataset of that shape (None: any length)."""
+    dataset = file.get(name)
+    if not isinstance(dataset, h5py.Dataset):
+        raise InputError(f"{path}: damaged, it has no dataset {name}")
+    wrong = len(dataset.shape) != len(shape) or any(
+        want not in (None, have) for want, have in zip(shape, dataset.shape)
+    )
+    if wrong or dataset.dtype.kind != "f":
+        raise InputError(
+            f"{path}: {name} is an array of {dataset.dtype} and shape {dataset.shape}; allowed: "
+            f"floats of shape {shape}"
+        )
+
+
+def load_membrane(header, comm):
+    """Markers, stretch and rest_stretch on rank 0; arrays without rows elsewhere.  Collective.
+
+    Raises
+    ------
+    InputError
+        On all ranks.
+    """
+    arrays = [np.zeros((0, 2)), np.zeros(0), np.zeros(0)]
+
+    def read(file):
+        if comm.rank == 0:
+            for k, name in enumerate(("X", "stretch", "rest_stretch")):
+                arrays[k] = _finite(file[f"vesicle_0/{name}"])
+
+    _on_file(header.path, comm, read)
+    return arrays
+
+
+def load_state(header, grid, markers, stretch):
+    """The state, each rank reading its own part of the fields.  Collective.
+
+    Raises
+    ------
+    InputError
+        On all ranks, when a field cannot be read or is not finite.
+    """
+    comm = grid.comm.tompi4py()
+    parts, history = {}, {}
+
+    def read(file):
+        parts.update(_read_parts(file["fluid"], grid))
+        for name, item in file.get("history", {}).items():
+            if isinstance(item, h5py.Group):
+                history[name] = _read_parts(item, grid)
+            else:
+                whole = _finite(item)
+                history[name] = whole if comm.rank == 0 else whole[:0]
+
+    _on_file(header.path, comm, read)
+    # Only now, with all ranks agreed: making vectors is collective.
+    velocity, pressure = grid.velocity_vector(), grid.pressure_vector()
+    grid.set_velocity(velocity, parts["u"], parts["v"])
+    grid.set_pressure(pressure, parts["p"])
+    for name, item in history.items():
+        if isinstance(item, dict):
+            history[name] = _vector(item, grid)
+    return State(header.step, header.time, velocity, pressure, markers, stretch, history)
+
+
+def _read_parts(group, grid):
+    """This rank's parts of the fields in a group, by name."""
+    boxes = {"u": grid.u_box, "v": grid.v_box, "p": grid.p_box}
+    return {name: _finite(group[name], boxes[name]) for name in group}
+
+
+def _vector(parts, grid):
+    """A pressure or velocity vector from its parts.  Collective."""
+    if "p" in parts:
+        vector = grid.pressure_vector()
+        grid.set_pressure(vector, parts["p"])
+    else:
+        vector = grid.velocity_vector()
+        grid.set_velocity(vector, parts["u"], parts["v"])
+    return vector
+
+
+def _finite(dataset, box=...):
+    values = dataset[box]
+    if not np.isfinite(values).all():
+        raise ValueError(f"not every entry of {dataset.name} is finite")
+    return values
+
+
+def _on_file(path, comm, read):
+    """Let every rank read from the file; trouble on any is raised on all.  Collective."""
+    trouble = ""
+    try:
+        with h5py.File(path, "r") as file:
+            read(file)
+    except (OSError, RuntimeError, KeyError, ValueError) as failure:
+        trouble = str(failure)
+    trouble = next(filter(None, comm.allgather(trouble)), "")
+    if trouble:
+        raise InputError(f"{path}: {trouble}")

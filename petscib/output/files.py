@@ -1,5 +1,6 @@
 """Writing files so that none is ever seen half written, and failing on all ranks alike."""
 
+import errno
 import glob
 import os
 import re
@@ -149,10 +150,14 @@ def write_hdf5(path, comm, datasets, attributes):
 
 
 def _reserve(path, room):
+    """See whether there is room for a file of that many bytes; OSError if not."""
     try:
         with open(path, "wb") as file:
-            os.posix_fallocate(file.fileno(), 0, room)
+            if hasattr(os, "posix_fallocate"):  # not on macOS
+                os.posix_fallocate(file.fileno(), 0, room)
     except OSError as failure:
+        if failure.errno in (errno.EOPNOTSUPP, errno.EINVAL, errno.ENOSYS):
+            return  # this file system cannot tell
         with suppress(OSError):
             os.unlink(path)
         raise OSError(failure.errno, failure.strerror, path) from None

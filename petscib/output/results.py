@@ -1,9 +1,11 @@
-"""The output folder of a run: tables, checkpoints, summary and pictures."""
+"""The output folder of a run: tables, checkpoints, fields, summary and pictures."""
 
 import json
 import os
 import platform
+import shutil
 import sys
+from contextlib import suppress
 
 import h5py
 import mpi4py
@@ -14,24 +16,20 @@ from petsc4py import PETSc
 from .. import __version__
 from ..diagnostics import COLUMNS
 from ..errors import InputError
-from . import checkpoint, monitor, tables
+from . import checkpoint, files, monitor, tables
+from .files import on_root
 
-
-def on_root(comm, action, error=RuntimeError):
-    """Run `action` on rank 0; when it raises OSError, raise `error` on every rank.  Collective."""
-    trouble = None
-    if comm.rank == 0:
-        try:
-            action()
-        except OSError as failure:
-            trouble = f"{failure.filename or 'output'}: {failure.strerror or failure}"
-    trouble = comm.bcast(trouble)
-    if trouble:
-        raise error(trouble)
+PREVIOUS = "previous"  # subfolder for what a new run would otherwise overwrite
+TABLES = ("diagnostics.csv", "outlines.csv")
+SAVED = ("checkpoint-*.h5", "final.h5", "fields-*.h5")
+OTHERS = ("fields.xdmf", "vesicles.xdmf", "summary.json", "*.png", "animation.*")
 
 
 class Results:
     """Writes what a run leaves behind.  Collective.
+
+    The folder holds one history: a new run, or a restart from an earlier step, first moves what
+    it is going to do again into the subfolder ``previous``.
 
     Parameters
     ----------
@@ -39,9 +37,16 @@ class Results:
     problem : Problem
     steps : int
         Estimated number of steps, for the interval between outlines.
+    header : checkpoint.Header, optional
+        Of the file that the run continues from.
+
+    Raises
+    ------
+    InputError
+        On all ranks, when the folder cannot be written to.
     """
 
-    def __init__(self, settings, problem, steps):
+    def __init__(self, settings, problem, steps, header=None):
         self.settings = settings
         self.problem = problem
         self.folder = settings.output
@@ -51,24 +56,84 @@ class Results:
             settings.monitor if self.comm.rank == 0 else "none", sys.stderr
         )
         self.last_row = None
-        on_root(self.comm, self._open, InputError)
+        self.diagnostics = self.outlines = None
+        on_root(self.comm, lambda: self._open(header), InputError)
+        self.series = None
+        if settings.xdmf_every:
+            from .xdmf import Series
 
-    def _open(self):
+            self.series = Series(self.folder, problem)
+
+    def _open(self, header):
+        """Make the folder ready and open the tables.  Rank 0 only."""
         os.makedirs(self.folder, exist_ok=True)
-        self.diagnostics = tables.Table(self.path("diagnostics.csv"), COLUMNS)
-        self.outlines = None
+        for leftover in files.matching(self.folder, "*" + files.PART):
+            os.unlink(leftover)
+        source = header and (os.path.dirname(header.path) or ".")
+        continues = source is not None and os.path.samefile(source, self.folder)
+        if continues:
+            self._set_aside(_later(self.folder, header.step))
+        else:
+            copies = [] if source is None else self._copy_tables(source)
+            self._clear_previous(keep=source)
+            if self._set_aside(files.matching(self.folder, *TABLES, *SAVED, *OTHERS)):
+                self.say(f"petscib: results of an earlier run are now in {self.path(PREVIOUS)}")
+            for copy in copies:
+                os.replace(copy, copy[: -len(files.PART)])
+        step = header.step if header else None
+        self.diagnostics = self._table("diagnostics.csv", COLUMNS, step)
         if self.problem.membrane is not None:
-            count = len(self.problem.membrane.rest_stretch)
-            self.outlines = tables.Table(
-                self.path("outlines.csv"), tables.outline_columns(count)
-            )
+            columns = tables.outline_columns(len(self.problem.membrane.rest_stretch))
+            self.outlines = self._table("outlines.csv", columns, step)
+
+    def _table(self, name, columns, step):
+        if step is None:
+            return tables.Table(self.path(name), columns)
+        try:
+            return tables.Table.resume(self.path(name), columns, step)
+        except ValueError as error:
+            raise OSError(f"cannot be continued: {error}") from None
+
+    def _copy_tables(self, source):
+        """Copy the tables of another folder under temporary names, which are returned."""
+        copies = []
+        for path in files.matching(source, *TABLES):
+            copies.append(self.path(os.path.basename(path) + files.PART))
+            shutil.copyfile(path, copies[-1])
+        return copies
+
+    def _clear_previous(self, keep):
+        """Remove what an even earlier run has left, unless the restart's file lies there."""
+        folder = self.path(PREVIOUS)
+        if os.path.isdir(folder) and not (keep and os.path.samefile(keep, folder)):
+            for path in files.matching(folder, *TABLES, *SAVED, *OTHERS):
+                os.unlink(path)
+
+    def _set_aside(self, paths):
+        """Move files into the subfolder for what is done again.  Returns the paths."""
+        if paths:
+            os.makedirs(self.path(PREVIOUS), exist_ok=True)
+        for path in paths:
+            os.replace(path, os.path.join(self.folder, PREVIOUS, os.path.basename(path)))
+        return paths
 
     def path(self, name):
         """Path of a file in the folder."""
         return os.path.join(self.folder, name)
 
+    def say(self, line):
+        """Print a line from rank 0, beside the progress display."""
+        if self.comm.rank == 0:
+            self.monitor.write(line)
+
     def record(self, row, state):
-        """Append a row of diagnostics, an outline when it is due, and show progress."""
+        """Append a row of diagnostics, an outline when it is due, and show progress.
+
+        Raises
+        ------
+        OutputError
+            On all ranks.
+        """
         self.last_row = row
 
         def write():
@@ -82,14 +147,43 @@ class Results:
         on_root(self.comm, write)
         self.monitor.update(row)
 
-    def save(self, name, state, reference):
-        """Write a checkpoint of the given name.  Returns its path."""
-        path = self.path(name)
-        checkpoint.save(path, self.problem, state, self.settings, reference)
+    def write_fields(self, state):
+        """Write a frame for ParaView when it is due.  Raises OutputError on all ranks."""
+        if self.series is not None and state.step % self.settings.xdmf_every == 0:
+            self.series.write(state)
+
+    def save(self, state, progress, name=None):
+        """Write a checkpoint, keeping the last few of those without a `name` of their own.
+
+        Returns
+        -------
+        str
+            Its path.
+
+        Raises
+        ------
+        OutputError
+            On all ranks.
+        """
+        path = self.path(name or f"checkpoint-{state.step:08d}.h5")
+        on_root(self.comm, self._sync)
+        checkpoint.save(path, self.problem, state, self.settings, progress)
+        on_root(self.comm, self._prune)
         return path
 
-    def summarise(self, steps, seconds, phases):
-        """Write summary.json and return its content."""
+    def _sync(self):
+        # A checkpoint on the disk must find the rows before it there too.
+        for table in (self.diagnostics, self.outlines):
+            if table is not None:
+                table.sync()
+
+    def _prune(self):
+        old = files.matching(self.folder, "checkpoint-*.h5")[: -self.settings.checkpoint_keep]
+        for path in old:
+            os.unlink(path)
+
+    def summarise(self, steps, seconds, phases, ended):
+        """Write summary.json and return its content.  Raises OutputError on all ranks."""
         summary = {
             "versions": {
                 "petscib": __version__,
@@ -104,22 +198,18 @@ class Results:
             "options": self.settings.to_dict(),
             "petsc_options": PETSc.Options().getAll(),
             "output": self.folder,
+            "ended": ended,
             "steps": steps,
             "total_seconds": seconds,
             "phase_seconds": dict(phases),
             "last_row": self.last_row,
         }
-
-        def write():
-            with open(self.path("summary.json"), "w") as file:
-                json.dump(summary, file, indent=2)
-                file.write("\n")
-
-        on_root(self.comm, write)
+        text = json.dumps(summary, indent=2) + "\n"
+        on_root(self.comm, lambda: files.write_text(self.path("summary.json"), text))
         return summary
 
     def draw(self):
-        """Draw the pictures on rank 0; without matplotlib, say so and go on."""
+        """Draw the pictures on rank 0; what cannot be drawn does not fail the run."""
         if self.comm.rank:
             return
         from . import plots
@@ -127,12 +217,28 @@ class Results:
         try:
             plots.plot_all(self.folder)
         except ImportError as error:
-            self.monitor.write(f"petscib: no pictures, {error.name} is not installed")
+            self.say(f"petscib: no pictures, {error.name} is not installed")
+        except (OSError, ValueError) as error:
+            self.say(f"petscib: not all pictures could be drawn: {error}")
 
     def close(self):
         """Close the tables and the progress display."""
         self.monitor.close()
-        if self.comm.rank == 0:
-            self.diagnostics.close()
-            if self.outlines is not None:
-                self.outlines.close()
+        for table in (self.diagnostics, self.outlines):
+            if table is not None:
+                with suppress(OSError):  # a row that could not be written has been reported
+                    table.close()
+
+
+def _later(folder, step):
+    """Checkpoints and frames in a folder that are later than a step, or cannot be read."""
+    later = []
+    for path in files.matching(folder, *SAVED):
+        try:
+            with h5py.File(path, "r") as file:
+                found = file.attrs["step"]
+        except (OSError, RuntimeError, KeyError):
+            found = np.inf
+        if found > step:
+            later.append(path)
+    return later

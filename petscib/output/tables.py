@@ -102,8 +102,15 @@ class Table:
         self._write_fields([_text(value) for value in row])
 
     def _write_fields(self, fields):
-        self._file.write(",".join(fields) + "\n")
-        self._file.flush()
+        try:
+            self._file.write(",".join(fields) + "\n")
+            self._file.flush()
+        except OSError as error:  # which does not know the file's name
+            raise OSError(error.errno, error.strerror, self.path) from None
+
+    def sync(self):
+        """Wait until all rows are on the disk."""
+        os.fsync(self._file.fileno())
 
     def close(self):
         """Close the file. May be called twice."""

@@ -42,7 +42,7 @@ class Coupled:
             interpolation.spread_add(force, self._rhs)
         else:
             self.coupled.update(interval)
-        stage, pressure = state.velocity.copy(), state.pressure.copy()
+        stage, pressure = problem.first_guess(state), state.pressure.copy()
         iterations = self.coupled.solve(self._rhs, stage, pressure)
 
         # u^{n+1} = u^n + (w - u^n) / theta,  X^{n+1} = X^n + dt J w
@@ -55,7 +55,10 @@ class Coupled:
             markers = state.markers + dt * stage_velocity
             stretch = problem.next_stretch(state.stretch, rate, dt, markers)
             interpolation.destroy()
-        end = State(state.step + 1, state.time + dt, velocity, pressure, markers, stretch)
+        history = problem.next_history(state, stage)
+        end = State(
+            state.step + 1, state.time + dt, velocity, pressure, markers, stretch, history
+        )
         return Step(
             dt,
             theta,

@@ -38,12 +38,11 @@ class Explicit:
             tangent = geometry.unit_tangent(state.markers, membrane.ds)
             force = membrane.force(state.markers, state.stretch, tangent)
             interpolation.spread_add(force, self._rhs)
-        intermediate = state.velocity.copy()
+        intermediate = problem.first_guess(state)
         momentum_iterations = self.momentum.solve(self._rhs, intermediate)
 
-        velocity, pressure, phi, poisson_iterations = self.projection.apply(
-            intermediate, dt, state.pressure
-        )
+        velocity = intermediate.copy()
+        pressure, phi, poisson_iterations = self.projection.apply(velocity, dt, state.pressure)
 
         # X^{n+1} = X^n + dt J u^{n+1}
         markers, stretch, step_velocity, rate = state.markers, state.stretch, None, None
@@ -53,7 +52,10 @@ class Explicit:
             markers = state.markers + dt * step_velocity
             stretch = problem.next_stretch(state.stretch, rate, dt, markers)
             interpolation.destroy()
-        end = State(state.step + 1, state.time + dt, velocity, pressure, markers, stretch)
+        history = problem.next_history(state, intermediate)
+        end = State(
+            state.step + 1, state.time + dt, velocity, pressure, markers, stretch, history
+        )
         return Step(
             dt,
             self.theta,

@@ -49,7 +49,7 @@ class Geometric:
     def step(self, state, dt):
         """Take one step from `state`.  Collective.  Returns a Step."""
         problem, membrane, theta = self.problem, self.problem.membrane, self.theta
-        stage, pressure = state.velocity.copy(), state.pressure.copy()
+        stage, pressure = problem.first_guess(state), state.pressure.copy()
         guess = state.markers + dt * state.history.get("marker_velocity", 0.0)
         acceleration = Anderson(ANDERSON_DEPTH)
         interpolation = problem.interpolation(state.markers) if theta == 1 else None
@@ -86,7 +86,7 @@ class Geometric:
             pressure,
             markers,
             problem.next_stretch(state.stretch, rate, dt, markers),
-            {"marker_velocity": marker_velocity},
+            {**problem.next_history(state, stage), "marker_velocity": marker_velocity},
         )
         return Step(
             dt,

@@ -43,15 +43,13 @@ class Modified:
             interpolation.spread_add(force, self._rhs)
         else:
             self.momentum.update(interval)
-        stage = state.velocity.copy()
+        stage = problem.first_guess(state)
         momentum_iterations = self.momentum.solve(self._rhs, stage)
 
         # u* = u^n + (w - u^n) / theta, made divergence-free
-        intermediate = stage.copy()
-        intermediate.axpby(1 - 1 / theta, 1 / theta, state.velocity)
-        velocity, pressure, phi, poisson_iterations = self.projection.apply(
-            intermediate, dt, state.pressure
-        )
+        velocity = stage.copy()
+        velocity.axpby(1 - 1 / theta, 1 / theta, state.velocity)
+        pressure, phi, poisson_iterations = self.projection.apply(velocity, dt, state.pressure)
 
         # X^{n+1} = X^n + dt J (theta u^{n+1} + (1 - theta) u^n)
         markers, stretch, stage_velocity, rate = state.markers, state.stretch, None, None
@@ -64,7 +62,10 @@ class Modified:
             markers = state.markers + dt * step_velocity
             stretch = problem.next_stretch(state.stretch, rate, dt, markers)
             interpolation.destroy()
-        end = State(state.step + 1, state.time + dt, velocity, pressure, markers, stretch)
+        history = problem.next_history(state, stage)
+        end = State(
+            state.step + 1, state.time + dt, velocity, pressure, markers, stretch, history
+        )
         return Step(
             dt,
             theta,

@@ -18,38 +18,39 @@ class Projection:
         self.theta = theta
         self.poisson = PoissonSolver(problem.operators)
         self._divergence = problem.grid.pressure_vector()
+        self._gradient = problem.grid.velocity_vector()
 
-    def apply(self, intermediate, dt, guess):
-        """Project.  Collective.
+    def apply(self, velocity, dt, last_pressure):
+        """Turn u* into u in place.  Collective.
 
         Parameters
         ----------
-        intermediate : PETSc.Vec
-            u*.
+        velocity : PETSc.Vec
+            u* on entry, u on return.
         dt : float
-        guess : PETSc.Vec
-            The last pressure.
+        last_pressure : PETSc.Vec
+            For the first guess.
 
         Returns
         -------
-        velocity, pressure, phi : PETSc.Vec
+        pressure, phi : PETSc.Vec
+            New vectors.
         iterations : int
         """
         operators, rho, mu = self.problem.operators, self.problem.rho, self.problem.mu
-        divergence = self._divergence
-        operators.divergence.mult(intermediate, divergence)
+        divergence, gradient = self._divergence, self._gradient
+        operators.divergence.mult(velocity, divergence)
         divergence.scale(1 / dt)
-        phi = guess.copy()
+        phi = last_pressure.copy()
         phi.scale(1 / rho)
         iterations = self.poisson.solve(divergence, phi)
 
-        velocity = intermediate.duplicate()
-        operators.gradient.mult(phi, velocity)
-        velocity.aypx(-dt, intermediate)
+        operators.gradient.mult(phi, gradient)
+        velocity.axpy(-dt, gradient)
         pressure = phi.copy()
         pressure.scale(rho)
         pressure.axpy(-self.theta * mu * dt, divergence)
-        return velocity, pressure, phi, iterations
+        return pressure, phi, iterations
 
     def destroy(self):
         """Free the solver."""

@@ -2,7 +2,7 @@
 
 from petsc4py import PETSc
 
-from ..errors import SolveError
+from ..errors import InputError, SolveError
 
 _REASONS = {
     value: name
@@ -66,8 +66,10 @@ def create(matrix, prefix, defaults, preconditioning_matrix=None):
     ksp.setOperators(matrix, preconditioning_matrix or matrix)
     try:
         ksp.setFromOptions()
-    except Exception:
+    except Exception as error:
         ksp.destroy()  # at exit, PETSc can no longer free one with a python preconditioner
+        if isinstance(error, (ImportError, AttributeError)):
+            raise InputError(f"-{prefix}pc_python_type: {error}") from error
         raise
     ksp.setInitialGuessNonzero(ksp.getType() != "preonly")
     return ksp

@@ -3,10 +3,7 @@
 On a uniform box each component's difference operator is a sum of two one-dimensional ones, whose
 eigenvectors depend only on how the component's points lie to the walls.  So a solve is a transform
 along each direction, a division by the eigenvalues, and the way back: exact to round-off, in
-O(N log N) operations.
-
-In parallel the first transform is along lines that the ranks already hold as a rule, the second
-across; in between the ranks exchange blocks.
+O(N log N) operations.  It is fastest when the cells have small prime factors.
 
 `FluidTransform` and `PoissonTransform` are preconditioners that PETSc makes by name:
 ``-poisson_pc_type python
@@ -14,13 +11,13 @@ across; in between the ranks exchange blocks.
 """
 
 from functools import partial
-from typing import Callable, NamedTuple
+from typing import Callable, NamedTuple, Tuple
 
 import numpy as np
-from mpi4py import MPI
-from numpy.lib.stride_tricks import as_strided
+from petsc4py import PETSc
 
 from ..errors import InputError
+from . import krylov
 
 try:
     from scipy import fft
@@ -60,187 +57,92 @@ WALL_BETWEEN = Basis(partial(fft.dst, type=2), partial(fft.idst, type=2), lowest
 NO_FLUX = Basis(partial(fft.dct, type=2), partial(fft.idct, type=2), lowest=0, given=0)
 
 
-class Field:
-    """One component: its bases, and where its unknowns lie.  Collective.
-
-    Parameters
-    ----------
-    grid : Grid
-    index, box
-        The component's table of PETSc numbers, and what this rank owns of it (see Grid).
-    bases : (Basis, Basis)
-        In y and x.
-    vector : PETSc.Vec
-        Any vector of its layout.
+class Field(NamedTuple):
+    """One component.
 
     Attributes
     ----------
+    index : ndarray of int
+        PETSc numbers of its points in natural order (see Grid).
     bases : (Basis, Basis)
-    shape : (int, int)
-        Rows and columns of unknowns.
-    owned : list of (slice, slice)
-        Rows and columns of the unknowns of each rank.
-    eigenvalues : (ndarray, ndarray)
-        Of minus the second differences in y and x.
+        In y and x.
     """
 
-    def __init__(self, grid, index, box, bases, vector):
-        self.bases = bases
-        self.shape = tuple(size - 2 * b.given for size, b in zip(index.shape, bases))
-        self.eigenvalues = tuple(
-            basis.eigenvalues(cells, spacing)
-            for basis, cells, spacing in zip(bases, (grid.n, grid.m), (grid.dy, grid.dx))
-        )
-        mine = tuple(
-            slice(max(part.start - b.given, 0), min(part.stop - b.given, size))
-            for part, b, size in zip(box, bases, self.shape)
-        )
-        self.owned = grid.comm.tompi4py().allgather(mine)
-        inner = tuple(slice(p.start + b.given, p.stop + b.given) for p, b in zip(mine, bases))
-        unknown = grid.local_positions(index, inner, vector)
-        self._given = np.setdiff1d(grid.local_positions(index, box, vector), unknown)
-        # DMStag stores what a rank owns cell by cell and row by row: at constant strides.
-        self._block = unknown.shape
-        self._first = unknown[0, 0] if unknown.size else 0
-        self._strides = [
-            np.ptp(line[:2]) if unknown.size else 0 for line in (unknown[:, :1], unknown[:1].T)
-        ]
+    index: np.ndarray
+    bases: Tuple[Basis, Basis]
 
-    def view(self, values):
-        """View in natural order of this rank's unknowns in a vector's local array."""
-        strides = [values.itemsize * stride for stride in self._strides]
-        return as_strided(values[self._first :], self._block, strides)
+    @property
+    def unknown(self):
+        """The part of `index` that is to be solved for."""
+        (rows, columns), (y, x) = self.index.shape, self.bases
+        return self.index[y.given : rows - y.given, x.given : columns - x.given]
 
-    def divide_given(self, source, target, divisor):
-        """Set the given points of a local array to those of another over `divisor`."""
-        target[self._given] = source[self._given] / divisor
+    @property
+    def given(self):
+        """The other PETSc numbers."""
+        return np.setdiff1d(self.index, self.unknown)
 
 
-def split(size, parts):
-    """Cut range(size) into contiguous slices of nearly equal lengths."""
-    bounds = [size * k // parts for k in range(parts + 1)]
-    return [slice(*ends) for ends in zip(bounds, bounds[1:])]
-
-
-def line_box(axis, part, shape):
-    """Box of the complete lines along `axis` that `part` counts."""
-    complete = slice(0, shape[axis])
-    return (part, complete) if axis == X else (complete, part)
-
-
-def slabs(count, axis, shape):
-    """Boxes of complete lines along `axis`, one for each of `count` ranks."""
-    return [line_box(axis, part, shape) for part in split(shape[1 - axis], count)]
-
-
-def lines(owned, axis, shape):
-    """Boxes of complete lines along `axis`, each rank's from among the lines it owns parts of."""
-    across = 1 - axis
-    result = []
-    for rank, box in enumerate(owned):
-        sharers = [k for k, other in enumerate(owned) if other[across] == box[across]]
-        start = box[across].start
-        part = split(box[across].stop - start, len(sharers))[sharers.index(rank)]
-        result.append(line_box(axis, slice(start + part.start, start + part.stop), shape))
-    return result
-
-
-def extent(box):
-    """Rows and columns of a box."""
-    return tuple(part.stop - part.start for part in box)
-
-
-def work_array(shape):
-    """Uninitialised array whose rows lie an odd number of cache lines apart.
-
-    At a distance of a power of two, transforms across the rows would take thrice as long.
-    """
-    rows, columns = shape
-    pitch = CACHE_LINE * (-(-columns // CACHE_LINE) | 1)
-    return np.empty((rows, pitch))[:, :columns]
-
-
-def overlap(box, other):
-    """Rows and columns that two boxes share, counted from the first of `box`; may be empty."""
-    starts = [max(a.start, b.start) for a, b in zip(box, other)]
-    stops = [max(start, min(a.stop, b.stop)) for start, a, b in zip(starts, box, other)]
-    return tuple(slice(start - a.start, stop - a.start)
-                 for start, stop, a in zip(starts, stops, box))
-
-
-class Message:
-    """A buffer for what one rank exchanges with all others, and which parts of fields go in it.
+class Slabs:
+    """A vector of complete grid lines in one direction, shared out evenly.  Collective.
 
     Parameters
     ----------
-    mine : list of (slice, slice)
-        This rank's box of each field.
-    theirs : list of list of (slice, slice)
-        The boxes of all ranks of each field, on the other side of the exchange.
-    rank : int
-        This rank; what stays on it is left out.
-    """
+    comm : PETSc.Comm
+    shapes : list of (int, int)
+        Rows and columns of each field.
+    axis : int
+        Direction of the lines.
 
-    def __init__(self, mine, theirs, rank):
-        parts = [
-            [
-                (field, overlap(box, others[peer]))
-                for field, (box, others) in enumerate(zip(mine, theirs))
-                if peer != rank
-            ]
-            for peer in range(len(theirs[0]))
-        ]
-        sizes = [[np.prod(extent(part)) for _, part in group] for group in parts]
-        self.counts = [int(sum(group)) for group in sizes]
-        self.buffer = np.empty(sum(self.counts))
-        self._pieces, end = [], 0
-        for group, group_sizes in zip(parts, sizes):
-            for (field, part), size in zip(group, group_sizes):
-                view = self.buffer[end : end + size].reshape(extent(part))
-                self._pieces.append((field, part, view))
-                end += size
-
-    def pack(self, fields):
-        """Fill the buffer from the arrays of the fields."""
-        for field, part, view in self._pieces:
-            view[...] = fields[field][part]
-
-    def unpack(self, fields):
-        """Fill the arrays of the fields from the buffer."""
-        for field, part, view in self._pieces:
-            fields[field][part] = view
-
-
-class Exchange:
-    """Moves fields from one distribution over the ranks to another.  Collective.
-
-    Parameters
+    Attributes
     ----------
-    comm : MPI.Comm
-    sources, targets : list of list of (slice, slice)
-        For each field, the box of each rank.
+    vector : PETSc.Vec
+    boxes : list of (slice, slice)
+        Rows and columns of each field that this rank has.
+    arrays : list of ndarray
+        Views of their values in the vector.
+    numbers : list of ndarray
+        Position in the vector of each point of each field in natural order.
     """
 
-    def __init__(self, comm, sources, targets):
-        rank = comm.rank
-        come_from, go_to = [s[rank] for s in sources], [t[rank] for t in targets]
-        self._comm = comm
-        self._stay = [(overlap(s, t), overlap(t, s)) for s, t in zip(come_from, go_to)]
-        self._sent = Message(come_from, targets, rank)
-        self._received = Message(go_to, sources, rank)
-        self._needed = comm.allreduce(len(self._sent.buffer)) > 0
+    def __init__(self, comm, shapes, axis):
+        self.numbers = [np.empty(shape, dtype=PETSc.IntType) for shape in shapes]
+        end = 0
+        for rank in range(comm.size):
+            start, boxes, pieces = end, [], []
+            for shape, numbers in zip(shapes, self.numbers):
+                lines = shape[1 - axis]
+                part = slice(lines * rank // comm.size, lines * (rank + 1) // comm.size)
+                box = (part, slice(None)) if axis == X else (slice(None), part)
+                rows, columns = numbers[box].shape
+                # At a distance of a power of two between rows, transforms across them would take
+                # thrice as long; so it is an odd number of cache lines.
+                pitch = CACHE_LINE * (-(-columns // CACHE_LINE) | 1)
+                numbers[box] = end + pitch * np.arange(rows)[:, None] + np.arange(columns)
+                boxes.append(box)
+                pieces.append((end - start, rows, pitch, columns))
+                end += rows * pitch
+            if rank == comm.rank:
+                self.boxes = boxes
+                values = np.zeros(end - start)
+                self.arrays = [
+                    values[first : first + rows * pitch].reshape(rows, pitch)[:, :columns]
+                    for first, rows, pitch, columns in pieces
+                ]
+        self.vector = PETSc.Vec().createWithArray(values, comm=comm)
 
-    def move(self, sources, targets):
-        """Copy this rank's arrays of the fields, and what comes from others, into `targets`."""
-        for source, target, (here, there) in zip(sources, targets, self._stay):
-            target[there] = source[here]
-        if self._needed:
-            self._sent.pack(sources)
-            self._comm.Alltoallv(
-                (self._sent.buffer, self._sent.counts),
-                (self._received.buffer, self._received.counts),
-            )
-            self._received.unpack(targets)
+    def scatter_from(self, vector, numbers):
+        """New scatter to here from a vector with these numbers of the same points."""
+        source, target = (
+            np.concatenate([table[box].ravel() for table, box in zip(tables, self.boxes)])
+            for tables in (numbers, self.numbers)
+        )
+        return PETSc.Scatter().create(
+            vector,
+            PETSc.IS().createGeneral(source, comm=PETSc.COMM_SELF),
+            self.vector,
+            PETSc.IS().createGeneral(target, comm=PETSc.COMM_SELF),
+        )
 
 
 class SpectralSolver:
@@ -248,69 +150,92 @@ class SpectralSolver:
 
     Parameters
     ----------
-    comm : petsc4py.PETSc.Comm
+    grid : Grid
     fields : list of Field
+    vector : PETSc.Vec
+        Any vector of their layout.
     """
 
-    def __init__(self, comm, fields):
-        comm = comm.tompi4py()
-        self.fields = fields
-        rows_complete = all(
-            box[X] == slice(0, field.shape[X]) for field in fields for box in field.owned
-        )
-        self._first, self._second = (X, Y) if rows_complete else (Y, X)
-        owned = [field.owned for field in fields]
-        first = [lines(field.owned, self._first, field.shape) for field in fields]
-        second = [slabs(comm.size, self._second, field.shape) for field in fields]
-        self._boxes = [boxes[comm.rank] for boxes in second]
-        self._begin, self._end = Exchange(comm, owned, first), Exchange(comm, first, owned)
-        self._on_first = [work_array(extent(boxes[comm.rank])) for boxes in first]
-        self._turned = comm.size > 1
-        self._on_second = self._on_first
-        if self._turned:
-            self._turn, self._turn_back = (
-                Exchange(comm, first, second),
-                Exchange(comm, second, first),
-            )
-            self._on_second = [work_array(extent(box)) for box in self._boxes]
-        self._factors = [work_array(work.shape) for work in self._on_second]
+    def __init__(self, grid, fields, vector):
+        self._fields = fields
+        self._eigenvalues = [
+            (y.eigenvalues(grid.n, grid.dy), x.eigenvalues(grid.m, grid.dx))
+            for y, x in (field.bases for field in fields)
+        ]
+        unknown = [field.unknown for field in fields]
+        shapes = [numbers.shape for numbers in unknown]
+        # First along the lines that ranks hold already, where they do.
+        self._first, self._second = (Y, X) if grid.dm.getProcSizes()[1] == 1 else (X, Y)
+        self._begin = self._turned = Slabs(grid.comm, shapes, self._first)
+        self._fetch, self._turn = self._begin.scatter_from(vector, unknown), None
+        if grid.comm.size > 1:
+            self._turned = Slabs(grid.comm, shapes, self._second)
+            self._turn = self._turned.scatter_from(self._begin.vector, self._begin.numbers)
+        self._factors = [np.empty_like(work) for work in self._turned.arrays]
 
     def set_operator(self, a, b):
-        """Set the coefficients.  With a = 0 the constants, if a field has them, map to zero."""
-        for field, (rows, columns), factors in zip(self.fields, self._boxes, self._factors):
-            along_y, along_x = field.eigenvalues
+        """Set the coefficients.  With a = 0 a constant part of r is left out."""
+        parts = zip(self._eigenvalues, self._turned.boxes, self._factors)
+        for (along_y, along_x), (rows, columns), factors in parts:
             np.add.outer(a + b * along_y[rows], b * along_x[columns], out=factors)
             np.divide(1, factors, out=factors, where=factors != 0)
 
     def solve(self, source, target):
-        """Solve with local arrays of the fields' layout."""
-        sources, targets = ([f.view(values) for f in self.fields] for values in (source, target))
-        self._begin.move(sources, self._on_first)
-        self._transform("forward", self._first, self._on_first)
-        if self._turned:
-            self._turn.move(self._on_first, self._on_second)
-        self._transform("forward", self._second, self._on_second)
-        for work, factors in zip(self._on_second, self._factors):
+        """Solve; given points of the target keep their values."""
+        forward, reverse = PETSc.ScatterMode.FORWARD, PETSc.ScatterMode.REVERSE
+        begin, turned = self._begin, self._turned
+        self._fetch.scatter(source, begin.vector, mode=forward)
+        self._transform("forward", self._first, begin)
+        if self._turn is not None:
+            self._turn.scatter(begin.vector, turned.vector, mode=forward)
+        self._transform("forward", self._second, turned)
+        for work, factors in zip(turned.arrays, self._factors):
             work *= factors
-        self._transform("inverse", self._second, self._on_second)
-        if self._turned:
-            self._turn_back.move(self._on_second, self._on_first)
-        self._transform("inverse", self._first, self._on_first)
-        self._end.move(self._on_first, targets)
+        self._transform("inverse", self._second, turned)
+        if self._turn is not None:
+            self._turn.scatter(turned.vector, begin.vector, mode=reverse)
+        self._transform("inverse", self._first, begin)
+        self._fetch.scatter(begin.vector, target, mode=reverse)
 
-    def _transform(self, way, axis, works):
-        for field, work in zip(self.fields, works):
+    def _transform(self, way, axis, slabs):
+        for field, work in zip(self._fields, slabs.arrays):
             if work.size:
+                # scipy may, and does as a rule, leave the answer where it was.
                 work[...] = getattr(field.bases[axis], way)(work, axis=axis, overwrite_x=True)
 
+    def destroy(self):
+        """Free vectors and scatters.  Collective."""
+        for slabs, scatter in ((self._begin, self._fetch), (self._turned, self._turn)):
+            slabs.vector.destroy()
+            if scatter is not None:
+                scatter.destroy()
 
-def attribute(matrix, name, preconditioner):
-    """Python attribute of a PETSc matrix that a preconditioner cannot do without."""
+
+def use(prefix, preconditioner, alone):
+    """Put a preconditioner of this module under a solver, unless the user has chosen another.
+
+    Parameters
+    ----------
+    prefix : str
+        Options prefix of the solver.
+    preconditioner : type
+    alone : bool
+        Whether it inverts the whole system, so that no iteration is needed.
+    """
+    if not PETSc.Options(prefix).hasName("pc_type"):
+        if alone:
+            krylov.set_defaults(prefix, {"ksp_type": "preonly"})
+        name = f"{__name__}.{preconditioner.__name__}"
+        krylov.set_defaults(prefix, {"pc_type": "python", "pc_python_type": name})
+
+
+def attribute(matrix, name):
+    """Python attribute of a PETSc matrix that the transforms cannot do without."""
     value = matrix.getAttr(name)
     if value is None:
         raise InputError(
-            f"{type(preconditioner).__name__} was put under a matrix that it does not invert; "
-            "with an implicit membrane force, FluidTransform goes under -momentum_outer_pc_type"
+            f"a matrix under one of the fast solvers has no {name}: FluidTransform is only for "
+            "rho/dt - mu Laplacian, PoissonTransform for the pressure's Laplacian"
         )
     return value
 
@@ -322,41 +247,49 @@ class FluidTransform:
     """
 
     def __init__(self):
-        self._solver = None
-        self._coefficients = None
+        self._solver = self._coefficients = None
 
     def setUp(self, pc):
         """Take over the matrix's coefficients.  Collective."""
         matrix = pc.getOperators()[1]
-        grid = attribute(matrix, "grid", self)
+        coefficients = attribute(matrix, "coefficients")
         if self._solver is None:
-            vector = matrix.createVecRight()
-            u = Field(grid, grid.u_index, grid.u_box, (WALL_BETWEEN, WALL_AT_POINT), vector)
-            v = Field(grid, grid.v_index, grid.v_box, (WALL_AT_POINT, WALL_BETWEEN), vector)
-            self._solver = SpectralSolver(grid.comm, [u, v])
+            grid = attribute(matrix, "grid")
+            fields = [
+                Field(grid.u_index, (WALL_BETWEEN, WALL_AT_POINT)),
+                Field(grid.v_index, (WALL_AT_POINT, WALL_BETWEEN)),
+            ]
+            vector = grid.velocity_vector()
+            self._solver = SpectralSolver(grid, fields, vector)
+            walls = np.concatenate([field.given for field in fields])
+            start, end = vector.getOwnershipRange()
+            self._walls = walls[(start <= walls) & (walls < end)] - start
             vector.destroy()
-        coefficients = attribute(matrix, "coefficients", self)
         if coefficients != self._coefficients:
             self._coefficients = coefficients
             self._solver.set_operator(*coefficients)
 
     def apply(self, pc, x, y):
-        """y = A0^{-1} x; on the faces of walls only the diagonal counts."""
-        source, target = x.getArray(readonly=True), y.getArray()
-        self._solver.solve(source, target)
-        for field in self._solver.fields:
-            field.divide_given(source, target, self._coefficients[0])
+        """y = A0^{-1} x."""
+        self._solver.solve(x, y)
+        # Faces on walls are coupled to no others.
+        y.getArray()[self._walls] = x.getArray(readonly=True)[self._walls] / self._coefficients[0]
 
     def view(self, pc, viewer):
         """Say what it is."""
         viewer.printfASCII("  exact, by sine transforms\n")
 
+    def destroy(self, pc):
+        """Free what PETSc keeps; PETSc calls this.  Collective."""
+        if self._solver is not None:
+            self._solver.destroy()
+
 
 class PoissonTransform:
     """PETSc python PC: pseudo-inverse of minus the Laplacian without flux through the walls.
 
-    Its matrix must be the pressure Laplacian of `Operators`, which carries the grid.  Answers
-    have zero mean.
+    Its matrix must be the pressure Laplacian of a `PoissonSolver`, which carries the grid.
+    Answers have zero mean.
     """
 
     def __init__(self):
@@ -365,18 +298,22 @@ class PoissonTransform:
     def setUp(self, pc):
         """Make the transforms, once.  Collective."""
         if self._solver is None:
-            matrix = pc.getOperators()[1]
-            grid = attribute(matrix, "grid", self)
-            vector = matrix.createVecRight()
-            p = Field(grid, grid.p_index, grid.p_box, (NO_FLUX, NO_FLUX), vector)
-            self._solver = SpectralSolver(grid.comm, [p])
+            grid = attribute(pc.getOperators()[1], "grid")
+            vector = grid.pressure_vector()
+            field = Field(grid.p_index, (NO_FLUX, NO_FLUX))
+            self._solver = SpectralSolver(grid, [field], vector)
             self._solver.set_operator(0.0, 1.0)
             vector.destroy()
 
     def apply(self, pc, x, y):
-        """y = pseudo-inverse of the matrix times x."""
-        self._solver.solve(x.getArray(readonly=True), y.getArray())
+        """Set y to the pseudo-inverse times x."""
+        self._solver.solve(x, y)
 
     def view(self, pc, viewer):
         """Say what it is."""
         viewer.printfASCII("  exact, by cosine transforms\n")
+
+    def destroy(self, pc):
+        """Free what PETSc keeps; PETSc calls this.  Collective."""
+        if self._solver is not None:
+            self._solver.destroy()

@@ -1,0 +1,219 @@
+"""Fields and vesicles for ParaView: a time series of HDF5 files with XDMF indices.
+
+Every frame is a file ``fields-<step, 8 digits>.h5`` of its own, complete when it has its name, so
+that a killed run leaves whole frames only.  ``fields.xdmf`` and ``vesicles.xdmf`` list them with
+relative paths: the folder can be moved.  Open these two in ParaView ("Xdmf Reader").
+
+In a frame, with 4-byte floats for m x n cells, row index y and column index x:
+
+=====================  ===============  ===========================================================
+/x, /y                 (m + 1), (n + 1) grid lines
+/fluid/velocity        (n, m, 3)        at the cell centres: mean of the two faces; z is 0
+/fluid/pressure        (n, m)           at the cell centres
+/fluid/vorticity       (n, m)           mean of the cell's four corners
+/vesicle_0/X           (M, 2)           markers
+/vesicle_0/edges       (M, 2)           numbers of the markers that edge k joins: k - 1 and k
+/vesicle_0/tension     (M,)             tension sigma on edge k
+/vesicle_0/stretch     (M,)             |X_s| on edge k
+=====================  ===============  ===========================================================
+
+Attributes of the root: step and time.  For the vorticity beside a wall, the ghost value
+2 u_wall - u_inside stands beyond it, as in the viscous operator.
+"""
+
+import os
+
+import h5py
+import numpy as np
+from petsc4py import PETSc
+
+from . import files
+
+_HEAD = """<?xml version="1.0" ?>
+<Xdmf Version="2.0">
+<Domain>
+<Grid Name="{name}" GridType="Collection" CollectionType="Temporal">
+"""
+_TAIL = """</Grid>
+</Domain>
+</Xdmf>
+"""
+
+
+def cell_fields(grid, walls, velocity):
+    """Velocity and vorticity at the centres of this rank's cells.  Collective.
+
+    Parameters
+    ----------
+    grid : Grid
+    walls : Walls
+    velocity : PETSc.Vec
+
+    Returns
+    -------
+    velocity : ndarray, shape (rows, columns, 3)
+    vorticity : ndarray, shape (rows, columns)
+        Of the shape of `grid.p_box`.
+    """
+    u, v = _ghosted(grid, walls, velocity)
+    centre_u = (u[:, 1:] + u[:, :-1]) / 2  # one more row below and above
+    centre_v = (v[1:] + v[:-1]) / 2  # one more column on either side
+    # The mean over the corners of differences across is the central difference of the means.
+    vorticity = (centre_v[:, 2:] - centre_v[:, :-2]) / (2 * grid.dx)
+    vorticity -= (centre_u[2:] - centre_u[:-2]) / (2 * grid.dy)
+    components = centre_u[1:-1], centre_v[:, 1:-1], np.zeros_like(vorticity)
+    return np.stack(components, axis=-1), vorticity
+
+
+def _ghosted(grid, walls, velocity):
+    """The faces of this rank's cells: u with a row more below and above, v with columns."""
+    local = grid.velocity_dm.createLocalVec()
+    grid.velocity_dm.globalToLocal(velocity, local)
+    (gx, gy), (width, height) = grid.velocity_dm.getGhostCorners()
+    values = local.getArray(readonly=True).reshape(height, width, -1)
+    where = PETSc.DMStag.StencilLocation
+    left, down = (grid.velocity_dm.getLocationSlot(at, 0) for at in (where.LEFT, where.DOWN))
+    rows, columns = grid.p_box
+    y, x = slice(rows.start, rows.stop + 1), slice(columns.start, columns.stop + 1)
+
+    def part(first, last, low, high, slot):
+        return values[first - gy : last - gy, low - gx : high - gx, slot]
+
+    def beyond(side, along, inside):
+        return 2 * walls.tangential[side][along] - inside
+
+    south, north = rows.start == 0, rows.stop == grid.n
+    u = part(rows.start - (not south), rows.stop + (not north), x.start, x.stop, left)
+    below = [beyond("bottom", x, u[0])] if south else []
+    above = [beyond("top", x, u[-1])] if north else []
+    west, east = columns.start == 0, columns.stop == grid.m
+    v = part(y.start, y.stop, columns.start - (not west), columns.stop + (not east), down)
+    before = [beyond("left", y, v[:, 0])] if west else []
+    behind = [beyond("right", y, v[:, -1])] if east else []
+    u, v = np.vstack((*below, u, *above)), np.column_stack((*before, v, *behind))
+    local.destroy()
+    return u, v
+
+
+class Series:
+    """The frames of a run in a folder, and their indices.
+
+    Parameters
+    ----------
+    folder : str
+    problem : Problem
+
+    Frames that the folder holds already are continued.
+    """
+
+    def __init__(self, folder, problem):
+        self.folder = folder
+        self.problem = problem
+        self.comm = problem.grid.comm.tompi4py()
+        self.frames = []
+        self.markers = 0
+        if self.comm.rank == 0:
+            self.frames = [_moment(path) for path in files.matching(folder, "fields-*.h5")]
+
+    def write(self, state):
+        """Write a frame and both indices.  Collective.
+
+        Raises
+        ------
+        OutputError
+            On all ranks.
+        """
+        problem, grid = self.problem, self.problem.grid
+        name = f"fields-{state.step:08d}.h5"
+        velocity, vorticity = cell_fields(grid, problem.operators.walls, state.velocity)
+        pressure = grid.pressure_block(state.pressure)
+        shape, box = grid.p_index.shape, grid.p_box
+        a, b, c, d = grid.domain
+        lines = (("x", a, b, grid.m), ("y", c, d, grid.n))
+        datasets = [
+            *(
+                files.Dataset(axis, np.linspace(low, high, count + 1)[self._mine], (count + 1,))
+                for axis, low, high, count in lines
+            ),
+            _real("fluid/velocity", velocity, (*shape, 3), (*box, slice(None))),
+            _real("fluid/pressure", pressure, shape, box),
+            _real("fluid/vorticity", vorticity, shape, box),
+        ]
+        if problem.membrane is not None:
+            self.markers = count = self.comm.bcast(len(state.markers))
+            edges = np.arange(count, dtype=np.int32)[self._mine]
+            edges = np.stack(((edges - 1) % count, edges), axis=1)
+            tension = problem.membrane.tension(state.stretch)
+            datasets += [
+                _real("vesicle_0/X", state.markers, (count, 2)),
+                files.Dataset("vesicle_0/edges", edges, (count, 2)),
+                _real("vesicle_0/tension", tension, (count,)),
+                _real("vesicle_0/stretch", state.stretch, (count,)),
+            ]
+        attributes = {"/": {"step": state.step, "time": state.time}}
+        files.write_hdf5(os.path.join(self.folder, name), self.comm, datasets, attributes)
+        files.on_root(self.comm, lambda: self._index(name, state.time))
+
+    @property
+    def _mine(self):
+        """What rank 0 holds and the other ranks do not."""
+        return slice(None) if self.comm.rank == 0 else slice(0, 0)
+
+    def _index(self, name, time):
+        self.frames = [frame for frame in self.frames if frame[0] != name] + [(name, time)]
+        grids = {"fields": self._fluid}
+        if self.markers:
+            grids["vesicles"] = self._vesicle
+        for title, describe in grids.items():
+            text = _HEAD.format(name=title) + "".join(
+                f'<Grid Name="{title}" GridType="Uniform">\n<Time Value="{moment!r}"/>\n'
+                f"{describe(frame)}</Grid>\n"
+                for frame, moment in self.frames
+            )
+            files.write_text(os.path.join(self.folder, f"{title}.xdmf"), text + _TAIL)
+
+    def _fluid(self, frame):
+        m, n = self.problem.grid.m, self.problem.grid.n
+        return (
+            f'<Topology TopologyType="2DRectMesh" Dimensions="{n + 1} {m + 1}"/>\n'
+            f'<Geometry GeometryType="VXVY">\n{_item(frame, "x", m + 1, size=8)}'
+            f'{_item(frame, "y", n + 1, size=8)}</Geometry>\n'
+            + _attribute("velocity", "Vector", _item(frame, "fluid/velocity", n, m, 3))
+            + _attribute("pressure", "Scalar", _item(frame, "fluid/pressure", n, m))
+            + _attribute("vorticity", "Scalar", _item(frame, "fluid/vorticity", n, m))
+        )
+
+    def _vesicle(self, frame):
+        count = self.markers
+        edges = _item(frame, "vesicle_0/edges", count, 2, kind="Int")
+        return (
+            f'<Topology TopologyType="Polyline" NumberOfElements="{count}" NodesPerElement="2">\n'
+            f"{edges}</Topology>\n"
+            f'<Geometry GeometryType="XY">\n{_item(frame, "vesicle_0/X", count, 2)}</Geometry>\n'
+            + _attribute("tension", "Scalar", _item(frame, "vesicle_0/tension", count))
+            + _attribute("stretch", "Scalar", _item(frame, "vesicle_0/stretch", count))
+        )
+
+
+def _real(path, values, shape, box=None):
+    return files.Dataset(path, values.astype(np.float32), shape, box)
+
+
+def _item(frame, path, *shape, kind="Float", size=4):
+    dimensions = " ".join(map(str, shape))
+    return (
+        f'<DataItem Dimensions="{dimensions}" NumberType="{kind}" Precision="{size}" '
+        f'Format="HDF">{frame}:/{path}</DataItem>\n'
+    )
+
+
+def _attribute(name, kind, item):
+    return (
+        f'<Attribute Name="{name}" AttributeType="{kind}" Center="Cell">\n{item}</Attribute>\n'
+    )
+
+
+def _moment(path):
+    """Name and time of a frame."""
+    with h5py.File(path, "r") as file:
+        return os.path.basename(path), float(file.attrs["time"])

@@ -1,0 +1,121 @@
+"""Restarts: which checkpoint to continue from, and with which options.
+
+The options come from the file, and those given now win, except for the few that the saved state
+depends on.
+"""
+
+import os
+import sys
+
+from petsc4py import PETSc
+
+from . import options
+from .errors import InputError
+from .output import checkpoint, files
+from .settings import given_text, text_of
+
+LATEST = "latest"
+# What the saved state was made with.  Everything else (scheme, delta function, fluid, membrane
+# constants, time step, ...) acts from the next step on.  The flow is here because the velocities
+# on the walls' faces are part of the state; rest_length, because the rest stretching is.
+FIXED = (
+    "scene", "stag_grid_x", "stag_grid_y", "domain", "flow", "shear_rate", "vesicles", "axes",
+    "center", "angle", "markers", "marker_file", "rest_length",
+)
+
+
+def merge(database, comm):
+    """The options of a run, with those of the checkpoint if -restart is given.  Collective.
+
+    Parameters
+    ----------
+    database : dict of str to str or None
+        PETSc's option database.
+    comm : mpi4py communicator
+
+    Returns
+    -------
+    dict
+        In the same form.  Options for the solvers are entered in PETSc's database too.
+
+    Raises
+    ------
+    InputError
+        On all ranks: no such checkpoint, a bad one, or an option that cannot change.
+    """
+    now = {name.lower(): text for name, text in database.items()}
+    if not now.get("restart"):
+        return database
+    header, trouble = None, None
+    if comm.rank == 0:
+        try:
+            header = _locate(now)
+        except InputError as error:
+            trouble = str(error)
+    header, trouble = comm.bcast((header, trouble))
+    if trouble:
+        raise InputError(trouble)
+    _refuse_changes(now, header)
+    for name, text in header.progress.solver_options.items():
+        if name not in now:
+            PETSc.Options()[name] = text
+    folder = os.path.dirname(header.path) or "."
+    return {**_saved_options(header), "output": folder, **now, "restart": header.path}
+
+
+def _locate(now):
+    """Header of the checkpoint meant by -restart and -output.  Rank 0 only."""
+    if now["restart"] != LATEST:
+        header = checkpoint.read_header(now["restart"])
+    else:
+        asked = {name: now[name] for name in ("scene", "output") if now.get(name)}
+        header = _latest(options.read(asked).output)
+    print(f"petscib: continuing from {header.path}", file=sys.stderr, flush=True)
+    return header
+
+
+def _latest(folder):
+    """Header of the complete checkpoint of the highest step in a folder."""
+    headers = []
+    for path in files.matching(folder, "checkpoint-*.h5", "final.h5"):
+        try:
+            headers.append(checkpoint.read_header(path))
+        except InputError as error:
+            print(f"petscib: skipped: {error}", file=sys.stderr, flush=True)
+    if not headers:
+        raise InputError(
+            f"-restart {LATEST}: no complete checkpoint in {folder}; allowed: a file, or {LATEST} "
+            "with the -output (or -scene) of a run that has left one"
+        )
+    return max(headers, key=lambda header: header.step)
+
+
+def _saved_options(header):
+    """Option texts that give the file's settings again, but for where it read and wrote."""
+    paths = "restart", "output"
+    record = {name: value for name, value in header.options.items() if name not in paths}
+    record["given"] = [name for name in record["given"] if name not in paths]
+    try:
+        fresh = options.read({**given_text(record), "restart": header.path}).to_dict()
+    except InputError as error:
+        raise InputError(f"{header.path}: {error}") from None
+    # A scene's or the table's default may have changed since the file was written.
+    moved = {name for name, value in record.items()
+             if name in options.TABLE and value is not None and fresh[name] != value}
+    record["given"] = sorted(moved.union(record["given"]))
+    return given_text(record)
+
+
+def _refuse_changes(now, header):
+    for name in FIXED:
+        if name not in now:
+            continue
+        value = options.value_of(options.TABLE[name], now[name] or "")
+        saved = header.options[name]
+        saved = tuple(saved) if isinstance(saved, list) else saved
+        if value != saved:
+            allowed = f"{text_of(saved)}, or no -{name}" if saved is not None else f"no -{name}"
+            raise InputError(
+                f"-{name} {now[name]}: a restart cannot change it, and {header.path} was made "
+                f"with {text_of(saved)}; allowed: {allowed}"
+            )

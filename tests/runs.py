@@ -1,0 +1,63 @@
+"""Short runs inside a test's own process, on all its ranks."""
+import numpy as np
+from mpi4py import MPI
+
+from petscib import options, restart
+from petscib.output import tables
+from petscib.simulation import Simulation
+
+comm = MPI.COMM_WORLD
+SMALL = {"stag_grid_x": "24", "axes": "0.25,0.4", "monitor": "none", "plot": "no"}
+
+
+def prepare(folder, **words):
+    """A simulation, not yet run, with the options given as on a command line.  Collective."""
+    given = {**words, "output": str(folder)}
+    if "restart" not in words:
+        given = {**SMALL, **given}
+    return Simulation(options.read(restart.merge(given, comm)))
+
+
+def run(folder, **words):
+    """Run to the end and return the summary.  Collective."""
+    simulation = prepare(folder, **words)
+    try:
+        return simulation.run()
+    finally:
+        simulation.destroy()
+
+
+def arrays(path):
+    """Every dataset of an HDF5 file by name."""
+    import h5py
+
+    found = {}
+
+    def collect(name, item):
+        if isinstance(item, h5py.Dataset):
+            found[name] = item[...]
+
+    with h5py.File(path, "r") as file:
+        file.visititems(collect)
+    return found
+
+
+def rows(folder):
+    """The diagnostics without the clock's column."""
+    table = tables.read(folder / "diagnostics.csv")
+    table.pop("wall_seconds")
+    return table
+
+
+def assert_same_run(one, other, tolerance=0.0):
+    """Final state, rows and outlines agree."""
+    first, second = arrays(one / "final.h5"), arrays(other / "final.h5")
+    assert first.keys() == second.keys()
+    for name, values in first.items():
+        np.testing.assert_allclose(second[name], values, rtol=0, err_msg=name,
+                                   atol=tolerance * max(1.0, abs(values).max()))
+    first, second = rows(one), rows(other)
+    assert list(second["step"]) == list(first["step"])
+    if not tolerance:
+        np.testing.assert_equal(second, first)
+        assert (one / "outlines.csv").read_text() == (other / "outlines.csv").read_text()
