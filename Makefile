@@ -7,7 +7,7 @@ setup:
 	@needs="pytest hypothesis"; $(SETUP)
 
 test:
-	@needs="pytest hypothesis"; $(SETUP); "$$python" -m pytest
+	@needs="pytest hypothesis"; wants=vtk; $(SETUP); "$$python" -m pytest
 
 run:
 	@./run $(ARGS)

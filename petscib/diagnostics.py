@@ -50,7 +50,7 @@ class Diagnostics:
         self.reference = reference
         self._cells = problem.grid.pressure_vector()
 
-    def row(self, state, step=None, ledger=None, largest_energy=None):
+    def row(self, state, step=None, ledger=None, largest_energy=0.0):
         """Measure a state.
 
         Parameters
@@ -59,8 +59,8 @@ class Diagnostics:
         step : Step, optional
             The step that led to it.
         ledger : Ledger, optional
-        largest_energy : float, optional
-            What the ledger's defect is measured against.
+        largest_energy : float
+            Of earlier states: with this one's, the scale of the ledger's defect.
 
         Returns
         -------
@@ -85,7 +85,7 @@ class Diagnostics:
                 row[f"{name}_iterations"] = count
         if ledger is not None:
             row.update((f"ledger_{name}", getattr(ledger, name)) for name in Ledger.names())
-            row["ledger_residual"] = abs(ledger.defect) / (largest_energy or 1.0)
+            row["ledger_residual"] = ledger.residual(max(largest_energy, energies.total))
         return row
 
     def _fluid(self, state, step):
@@ -116,8 +116,8 @@ class Diagnostics:
                 "centroid_y": center[1],
             }
             if step is not None:
-                frequency = geometry.treading_frequency(markers, step.marker_velocity)
-                measured["treading_frequency"] = frequency
+                motion = (markers - step.start.markers) / step.dt
+                measured["treading_frequency"] = geometry.treading_frequency(markers, motion)
         measured = self.problem.grid.comm.tompi4py().bcast(measured)
         if self.reference is None:
             self.reference = {name: measured[name] for name in ("area", "perimeter")}

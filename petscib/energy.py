@@ -81,6 +81,10 @@ class Ledger:
         terms = astuple(self)
         return terms[-1] - sum(terms[:-1])
 
+    def residual(self, largest_energy):
+        """Size of the defect relative to the largest energy so far."""
+        return abs(self.defect) / largest_energy if largest_energy else abs(self.defect)
+
     @staticmethod
     def names():
         """Names of the terms, in order."""
@@ -94,16 +98,16 @@ def balance(problem, step):
     operators, membrane = problem.operators, problem.membrane
     rho, mu, dt, theta = problem.rho, problem.mu, step.dt, step.theta
     area = problem.grid.cell_area
-    excess = theta - 0.5
+    excess = theta - 0.5  # 1/2 or 0: the schemes are backward Euler or Crank-Nicolson
     start, end, stage = step.start, step.end, step.stage
     work = stage.duplicate()
 
     ledger = Ledger()
     ledger.change = measure(problem, end).total - measure(problem, start).total
 
-    if excess:
+    if excess:  # then theta is 1 and the stage is u*
         work.waxpy(-1.0, start.velocity, stage)
-        ledger.inertia = -rho * excess * area * work.dot(work) / theta**2
+        ledger.inertia = -rho * excess * area * work.dot(work)
 
     operators.laplacian.mult(stage, work)
     gradient = -stage.dot(work)

@@ -175,7 +175,9 @@ _ROWS = (
     Option("fft", Flag(), False, RUN, "fast direct solvers (transforms) under all solves"),
     Option("picard_rtol", FRACTION, 1e-9, RUN, "gbe, gcn: tolerance of the tangent iteration"),
     Option("picard_max_it", Whole(1, 10000), 100, RUN, "gbe, gcn: most tangent iterations a step"),
-    Option("ledger", Flag(), False, RUN, "end the run when the energy ledger does not balance"),
+    Option("ledger", Choice(("none", "record", "warn", "error")), "none", RUN,
+           "check the energy law of each step: only record its terms, warn, or end the run when "
+           "they do not balance"),
     Option("ledger_tol", FRACTION, 1e-6, RUN,
            "largest ledger residual, relative to the largest energy so far"),
     Option("restart", Path(), None, RUN, "checkpoint to continue from; `latest`: the newest in the "

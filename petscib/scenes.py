@@ -74,7 +74,7 @@ _SCENES = (
     ),
     Scene(
         "driven",
-        "Poiseuille flow without a vesicle: a steady state that every scheme must keep",
+        "Poiseuille flow without a vesicle: a steady state, which the coupled schemes keep",
         dict(flow="poiseuille", shear_rate=1.0, vesicles=0, ts_max_time=1.0),
     ),
 )

@@ -195,6 +195,9 @@ def _check_choices(settings):
         if settings.startup > 0:
             _refuse(settings, ("startup", "scheme"), "scheme ep has no start-up steps",
                     "0, or another scheme")
+        if settings.ledger != "none":
+            _refuse(settings, ("ledger", "scheme"), "scheme ep has no energy law",
+                    "none, or another scheme")
     if settings.flow == "rest" and settings.shear_rate != 0:
         _refuse(settings, ("shear_rate",), "the flow is rest",
                 "0, or -flow shear, extensional or poiseuille")

@@ -9,7 +9,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from . import events, guard, schemes, solver_options
+from . import energy, events, guard, schemes, solver_options
 from .diagnostics import Diagnostics
 from .errors import InputError, OutputError, SolveError
 from .events import phase
@@ -60,6 +60,7 @@ class Simulation:
         self.settings = settings
         self.interrupt = interrupt or Interrupt()
         self.signal = 0
+        self.ledger = None
         self.saved_in = None
         self.began = self.saved_at = perf_counter()
         comm = comm or PETSc.COMM_WORLD
@@ -88,7 +89,11 @@ class Simulation:
         # Fixed steps are counted: the round-off in the sum of many must not add one.
         self.last_step = most if settings.ts_adapt else min(steps, most)
         self.wall_seconds_before = self.progress.wall_seconds
-        self.results = Results(settings, self.problem, min(steps, most), header)
+        try:
+            self.results = Results(settings, self.problem, min(steps, most), header)
+        except InputError:
+            self.destroy()
+            raise
 
     def _header(self, settings):
         """Header of the file to continue from.  Collective."""
@@ -101,9 +106,13 @@ class Simulation:
         header, trouble = self.comm.bcast((header, trouble))
         if trouble:
             raise InputError(trouble)
-        for name, reached in (("ts_max_time", header.time), ("ts_max_steps", header.step)):
+        slack = ROUND_OFF * settings.ts_dt
+        for name, reached, least in (
+            ("ts_max_time", header.time, header.time + slack),
+            ("ts_max_steps", header.step, header.step),
+        ):
             end = getattr(settings, name)
-            if end is not None and end <= reached:
+            if end is not None and end <= least:
                 raise InputError(
                     f"-{name} {text_of(end)}: {header.path} has reached {text_of(reached)} "
                     "already; allowed: more than that"
@@ -130,7 +139,7 @@ class Simulation:
         last = self.last_step if self.last_step < math.inf else None
         results.monitor.start(first, self.state.time, settings.ts_max_time, last)
         try:
-            if first == 0:  # a restart has the row of its first state already
+            if settings.restart is None:  # else the row of the first state is there already
                 self._record(None)
                 self._output(results.write_fields, self.state)
             while not self._finished() and not self.signal:
@@ -188,7 +197,24 @@ class Simulation:
     def _attempt(self, dt):
         step = self.scheme.step(self.state, dt)
         guard.check(self.problem, step.end)
+        if self.settings.ledger != "none":
+            with phase("ledger"):
+                self._check_ledger(step)
         return step
+
+    def _check_ledger(self, step):
+        """Balance the energy of a step, and act on a defect as the options say.  Collective."""
+        self.ledger = energy.balance(self.problem, step)
+        reached = energy.measure(self.problem, step.end).total
+        residual = self.ledger.residual(max(self.progress.largest_energy, reached))
+        if residual > self.settings.ledger_tol and self.settings.ledger != "record":
+            trouble = (
+                f"the energy ledger of step {step.end.step} does not balance: residual "
+                f"{residual:.1e}, allowed {self.settings.ledger_tol:.1e}"
+            )
+            if self.settings.ledger == "error":
+                raise SolveError(f"{trouble}; tighter solver tolerances may help")
+            self.results.say(f"petscib: {trouble}")
 
     def _failure(self, error):
         """What to raise when a step failed for good, after saving the state before it."""
@@ -202,9 +228,10 @@ class Simulation:
         )
 
     def _record(self, step):
+        largest = self.progress.largest_energy
         with phase("diagnostics"):
-            row = self.diagnostics.row(self.state, step)
-        self.progress.largest_energy = max(self.progress.largest_energy, row["energy"])
+            row = self.diagnostics.row(self.state, step, self.ledger, largest)
+        self.progress.largest_energy = max(largest, row["energy"])
         row["wall_seconds"] = self._wall_seconds()
         self._output(self.results.record, row, self.state)
 

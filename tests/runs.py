@@ -1,8 +1,11 @@
 """Short runs inside a test's own process, on all its ranks."""
+import atexit
+
 import numpy as np
 from mpi4py import MPI
+from petsc4py import PETSc
 
-from petscib import options, restart
+from petscib import options, restart, solver_options
 from petscib.output import tables
 from petscib.simulation import Simulation
 
@@ -13,9 +16,14 @@ SMALL = {"stag_grid_x": "24", "axes": "0.25,0.4", "monitor": "none", "plot": "no
 def prepare(folder, **words):
     """A simulation, not yet run, with the options given as on a command line.  Collective."""
     given = {**words, "output": str(folder)}
+    # The solvers of an earlier run have left their defaults in PETSc's database.
+    for name in solver_options.given():
+        PETSc.Options().delValue(name)
     if "restart" not in words:
         given = {**SMALL, **given}
-    return Simulation(options.read(restart.merge(given, comm)))
+    simulation = Simulation(options.read(restart.merge(given, comm)))
+    atexit.register(simulation.destroy)  # PETSc must not find it at its own end
+    return simulation
 
 
 def run(folder, **words):

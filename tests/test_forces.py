@@ -1,4 +1,5 @@
 """Membrane forces against the energies they come from, and the implicit part W as a matrix."""
+import dense
 import numpy as np
 import pytest
 from mpi4py import MPI
@@ -6,8 +7,6 @@ from petsc4py import PETSc
 
 from petscib.membrane import geometry, shapes
 from petscib.membrane.forces import Membrane
-
-import dense
 
 COUNT = 12
 
@@ -20,8 +19,8 @@ def membrane(request):
 
 @pytest.fixture
 def markers():
-    random = np.random.default_rng(2)
-    return shapes.ellipse((0.3, 0.5), (0, 0), 10.0, COUNT) + 0.02 * random.standard_normal((COUNT, 2))
+    disturbance = 0.02 * np.random.default_rng(2).standard_normal((COUNT, 2))
+    return shapes.ellipse((0.3, 0.5), (0, 0), 10.0, COUNT) + disturbance
 
 
 def energy(membrane, markers):

@@ -1,12 +1,11 @@
 """Shapes, differences along curves, and what is measured of polygons."""
+import dense
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from petscib.membrane import geometry, shapes
-
-import dense
 
 ANGLES = (-120.0, -90.0, -37.0, 0.0, 25.0, 45.0, 90.0, 135.0, 180.0)
 

@@ -1,12 +1,11 @@
 """The staggered grid: every face and cell has one PETSc number, one owner and one place."""
+import dense
 import numpy as np
 import pytest
 from mpi4py import MPI
 from petsc4py import PETSc
 
 from petscib.fluid.grid import Grid
-
-import dense
 
 DOMAIN = (-1.0, 2.0, 0.5, 1.5)
 CELLS = [(7, 5), (65, 50)]

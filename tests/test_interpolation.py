@@ -1,4 +1,5 @@
 """Interpolation and spreading against a dense J, and the identities that they must keep."""
+import dense
 import numpy as np
 import pytest
 from mpi4py import MPI
@@ -7,8 +8,6 @@ from petscib.coupling.interpolation import Interpolation
 from petscib.coupling.kernels import KERNELS
 from petscib.fluid.grid import Grid
 from petscib.membrane import geometry, shapes
-
-import dense
 
 DOMAIN = (-1.0, 2.0, 0.5, 2.5)
 ROUND_OFF = 1e-13  # relative

@@ -1,4 +1,5 @@
 """The energy law: every term of every implicit scheme's ledger, and energy that never rises."""
+import dense
 import numpy as np
 import pytest
 from mpi4py import MPI
@@ -6,8 +7,6 @@ from mpi4py import MPI
 from petscib import energy
 from petscib.membrane import geometry
 from petscib.schemes import SCHEMES, create
-
-import dense
 
 IMPLICIT = [name for name in SCHEMES if name != "ep"]
 TOLERANCE = 1e-8  # of the largest energy so far, with solvers to 1e-10
@@ -81,8 +80,7 @@ def test_ledger_on_several_ranks_balances_and_is_equal_on_all(scheme):
 
 @pytest.mark.parametrize("scheme", IMPLICIT)
 def test_terms_have_their_signs(scheme):
-    for problem, step, ledger in run(scheme, 3, stretch="evolve", rest_length=0.9,
-                                     sigma0=100):
+    for _, _, ledger in run(scheme, 3, stretch="evolve", rest_length=0.9, sigma0=100):
         assert ledger.viscous < 0
         assert max(ledger.inertia, ledger.projection, ledger.tension, ledger.bending) <= 0
         euler = scheme.endswith("be")

@@ -1,4 +1,5 @@
 """Difference operators and wall data: against dense matrices, exact fields, and refinement."""
+import dense
 import numpy as np
 import pytest
 
@@ -6,8 +7,6 @@ from petscib.fluid import flows
 from petscib.fluid.grid import Grid
 from petscib.fluid.operators import Operators
 from petscib.fluid.walls import Walls
-
-import dense
 
 DOMAIN = (-1.0, 2.0, 0.5, 1.5)
 RATE = 1.7

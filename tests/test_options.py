@@ -43,7 +43,7 @@ WRONG_VALUES = [
     ("monitor", "", "needs a value", "none, bar, log"),
     ("fft", "maybe", "true/false, yes/no, on/off, 1/0"),
     ("plot", "2", "true/false"),
-    ("ledger", "tru", "true/false"),
+    ("ledger", "tru", "none, record, warn, error"),
     ("ts_adapt", "0.5", "true/false"),
     ("stag_grid_x", "4", "out of range", "whole number from 8 to 32768"),
     ("stag_grid_x", "32769", "out of range", "whole number from 8 to 32768"),
@@ -179,6 +179,7 @@ def test_a_wild_guess_suggests_nothing():
 CONTRADICTIONS = [
     (dict(scheme="ep", stretch="evolve"), "-stretch evolve", "scheme ep", "recompute"),
     (dict(scheme="ep", startup="1"), "-startup 1", "scheme ep", "0"),
+    (dict(scheme="ep", ledger="warn"), "-ledger warn", "scheme ep", "energy law", "none"),
     (dict(scene="relaxation", shear_rate="5"), "-shear_rate 5", "rest", "-flow shear"),
     (dict(flow="rest", shear_rate="-1"), "-shear_rate -1", "rest", "-flow shear"),
     (dict(vesicles="0", sigma0="10"), "-sigma0 10", "no vesicle", "-vesicles 1"),

@@ -30,15 +30,16 @@ def refusal(folder, **words):
 
 @pytest.fixture
 def finished(tmp_path):
-    """Folder of a run of 6 steps with a checkpoint every 2, the first pruned."""
-    run(tmp_path / "whole", ts_max_steps="6", checkpoint_every="2", poisson_ksp_rtol="1e-9")
+    """Folder of a run of 6 steps, with checkpoints of steps 2 and 4 and the final one."""
+    run(tmp_path / "whole", ts_max_steps="6", checkpoint_every="2")
     return tmp_path / "whole"
 
 
-@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parallel([1, 3])
 @pytest.mark.parametrize("scheme", ["ep", "mbe", "mcn", "gbe", "gcn"])
 def test_restarted_equals_uninterrupted_bit_for_bit(tmp_path, scheme):
-    # Multigrid on 3 ranks adds in the order of arrival: two runs differ in the last digits.
+    # Multigrid on 3 ranks adds in the order of arrival, and keeps its coarse grids when the time
+    # step changes: there the runs agree to solver tolerance only.
     words = {"scheme": scheme, "fft": "yes", "checkpoint_every": "3", "sigma0": "1e3",
              "ts_dt": "0.01"}
     run(tmp_path / "whole", ts_max_time="0.08", **words)
@@ -70,11 +71,13 @@ def test_an_interrupted_run_goes_on_in_its_folder(tmp_path):
 def test_other_ranks_agree_to_solver_tolerance(mpirun, tmp_path, ranks):
     small = [word for name, text in SMALL.items() for word in (f"-{name}", text)]
     mpirun(2, "-m", "petscib", *small, "-output", "whole", "-ts_max_steps", 6,
-           "-checkpoint_every", 3)
+           "-checkpoint_every", 3, "-poisson_ksp_rtol", "1e-10")
     result = mpirun(ranks, "-m", "petscib", "-restart", "whole/checkpoint-00000003.h5",
                     "-output", "again")
     assert result.stderr == "petscib: continuing from whole/checkpoint-00000003.h5\n"
     assert_same_run(tmp_path / "whole", tmp_path / "again", tolerance=1e-6)
+    summary = json.loads((tmp_path / "again" / "summary.json").read_text())
+    assert summary["petsc_options"]["poisson_ksp_rtol"] == "1e-10"  # the user's, from the file
 
 
 @pytest.mark.parallel(2)
@@ -86,7 +89,6 @@ def test_options_come_from_the_file_and_those_given_now_win(finished, tmp_path):
     simulation.destroy()
     assert (settings.stag_grid_x, settings.axes, settings.checkpoint_every) == (24, (0.25, 0.4), 2)
     assert (settings.sigma0, settings.ts_max_steps) == (7.0, 9)
-    assert simulation.progress.solver_options["poisson_ksp_rtol"] == "1e-9"
     assert simulation.state.step == 4 and simulation.wall_seconds_before > 0
     before = rows(finished)["energy"][:5]
     assert np.isclose(simulation.progress.largest_energy, before.max(), rtol=1e-14)
@@ -134,11 +136,11 @@ def test_latest_is_the_newest_complete_checkpoint(finished, tmp_path, capfd):
     comm.Barrier()
     capfd.readouterr()
     summary = run(finished, restart="latest", ts_max_steps="8")
-    assert summary["steps"] == 2  
+    assert summary["steps"] == 4
     said = capfd.readouterr().err
     if comm.rank == 0:
         assert "skipped" in said and "final.h5" in said
-        assert f"continuing from {finished}/checkpoint-00000006.h5" in said
+        assert f"continuing from {finished}/checkpoint-00000004.h5" in said
     message = refusal(tmp_path / "empty", restart="latest")
     assert "no complete checkpoint in" in message and "-output" in message
 
@@ -236,7 +238,8 @@ def test_failed_steps_are_retried_without_a_trace(tmp_path, monkeypatch):
         simulation.scheme.step = fragile
         return simulation
 
-    words = {"ts_dt": "0.02", "ts_max_time": "0.2", "ts_adapt": "yes", "checkpoint_every": "5"}
+    words = {"ts_dt": "0.02", "ts_max_time": "0.2", "ts_adapt": "yes", "checkpoint_every": "5",
+             "checkpoint_keep": "9", "fft": "yes"}
     make(tmp_path / "whole", **words).run()
     make(tmp_path / "again", restart=str(tmp_path / "whole" / "checkpoint-00000005.h5")).run()
     comm.Barrier()

@@ -1,7 +1,7 @@
 """Momentum and Poisson solvers against dense solves; iteration counts; options; failures."""
+import dense
 import numpy as np
 import pytest
-from petsc4py import PETSc
 
 from petscib.errors import SolveError
 from petscib.fluid.grid import Grid
@@ -11,8 +11,6 @@ from petscib.membrane import geometry
 from petscib.schemes import create
 from petscib.solvers.momentum import MomentumSolver
 from petscib.solvers.poisson import PoissonSolver
-
-import dense
 
 TIGHT = {"ksp_rtol": 1e-12}
 INTERVAL = 0.02  # theta dt
@@ -176,8 +174,8 @@ class PoissonCase:
     def solve(self, **options):
         with dense.petsc_options(**{f"poisson_{name}": value for name, value in options.items()}):
             solver = PoissonSolver(self.operators)
-        iterations = solver.solve(self.source, self.solution)
-        solver.destroy()
+            iterations = solver.solve(self.source, self.solution)
+            solver.destroy()
         return dense.pressure(self.grid, self.solution), iterations
 
 
@@ -189,7 +187,7 @@ def test_poisson_answer_is_the_one_of_zero_mean(ranks):
     table = dense.divergence(case.grid) @ dense.gradient(case.grid)
     projected = (case.values - case.values.mean()).ravel()
     assert_close(answer, np.linalg.pinv(table) @ projected, 1e-10)
-    assert abs(answer.mean()) <= 1e-14 * np.abs(answer).max()
+    assert abs(answer.mean()) <= 1e-12 * np.abs(answer).max()
     assert case.operators.pressure_laplacian.getNullSpace().test(
         case.operators.pressure_laplacian)
 
@@ -226,6 +224,6 @@ def test_poisson_iterations_hardly_grow_with_the_grid(ranks):
         grid.set_pressure(source, np.sin(7 * x) * np.cos(5 * y) + x * y)
         with dense.petsc_options(poisson_ksp_rtol=1e-8):
             solver = PoissonSolver(Operators(grid, Walls(grid)))
-        counts.append(solver.solve(source, solution))
-        solver.destroy()
+            counts.append(solver.solve(source, solution))
+            solver.destroy()
     assert max(counts) <= 25

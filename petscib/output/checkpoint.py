@@ -309,7 +309,7 @@ def load_state(header, grid, markers, stretch):
 
 
 def _read_parts(group, grid):
-    """This rank's parts of the fields in a group, by name."""
+    """Read this rank's parts of the fields in a group, by name."""
     boxes = {"u": grid.u_box, "v": grid.v_box, "p": grid.p_box}
     return {name: _finite(group[name], boxes[name]) for name in group}
 

@@ -1,0 +1,132 @@
+"""A study's runs: made one after the other, never twice, with a line of progress each."""
+
+import argparse
+import os
+import sys
+from time import perf_counter
+
+from . import report, runs
+
+_INDEX = ("run", "title", "status", "steps", "seconds", "reason", "command")
+
+
+class Campaign:
+    """The runs of one study and the folder that holds them and what is made of them.
+
+    Parameters
+    ----------
+    name : str
+        Of the study.
+    output : str
+        Folder; the runs lie in its subfolder ``runs``.
+    quick : bool
+        The version of minutes.
+    ranks : int
+        MPI ranks of each run.
+    """
+
+    def __init__(self, name, output, quick=False, ranks=1):
+        self.name, self.output, self.quick, self.ranks = name, output, quick, ranks
+        self._outcomes = {}
+        self._titles = {}
+        self._began = perf_counter()
+        os.makedirs(output, exist_ok=True)
+
+    @classmethod
+    def from_command_line(cls, name, summary, arguments=None):
+        """The campaign that a study's command line asks for."""
+        parser = argparse.ArgumentParser(
+            prog=f"python -m petscib.studies.{name}", description=summary, allow_abbrev=False)
+        add_options(parser)
+        given = parser.parse_args(arguments)
+        folder = given.output or os.path.join("out", "studies", name)
+        return cls(name, folder, given.quick, given.ranks)
+
+    def run(self, title, options, time_limit=float("inf"), progress=""):
+        """Make a run, or find it made.
+
+        Parameters
+        ----------
+        title : str
+            What the progress line calls it.
+        options : mapping of str to value
+            petscib's options, without -output.
+        time_limit : float
+            Seconds.
+        progress : str
+            Such as "3/12".
+
+        Returns
+        -------
+        runs.Outcome
+        """
+        run = runs.Run(options, self.ranks, time_limit)
+        folder = os.path.join(self.output, "runs", run.key)
+        outcome, note = runs.recall(run, folder), "made earlier"
+        if outcome is None:
+            self._say(f"{progress} {title} ...", end="")
+            outcome, note = runs.execute(run, folder), ""
+        self._say(f"{progress} {title}: {outcome.status}, {outcome.steps} steps, "
+                  f"{outcome.seconds:.1f} s {note}".rstrip())
+        self._outcomes[run.key], self._titles[run.key] = outcome, title
+        self._write_index()
+        return outcome
+
+    def run_all(self, declared, time_limit=float("inf")):
+        """Make all runs of a mapping of label to options; returns label to Outcome."""
+        return {
+            label: self.run(_words(label), options, time_limit, f"{number}/{len(declared)}")
+            for number, (label, options) in enumerate(declared.items(), 1)
+        }
+
+    def _say(self, line, end="\n"):
+        """Show progress: on a terminal the line of a run at work is replaced when it is done."""
+        line = f"{self.name}: {line} [{report.duration(perf_counter() - self._began)}]"
+        if sys.stderr.isatty():
+            print(f"\r\033[K{line}", end=end, file=sys.stderr, flush=True)
+        elif end:
+            print(line, file=sys.stderr, flush=True)
+
+    def _write_index(self):
+        rows = [
+            (key, self._titles[key], one.status, one.steps, round(one.seconds, 3), one.reason,
+             one.command)
+            for key, one in self._outcomes.items()
+        ]
+        report.write_csv(self.path("runs.csv"), _INDEX, rows)
+
+    def path(self, name):
+        """Path of a file in the study's folder."""
+        return os.path.join(self.output, name)
+
+    def write(self, columns, rows, text):
+        """Leave the study's results: NAME.csv, and the Markdown text with NAME.md's usual end.
+
+        Parameters
+        ----------
+        columns : sequence of str
+        rows : sequence of sequence
+            None where a quantity does not apply.
+        text : str
+            Markdown.
+        """
+        report.write_csv(self.path(f"{self.name}.csv"), columns, rows)
+        quick = " -quick" if self.quick else ""
+        examples = [one.command for one in self._outcomes.values()]
+        text += f"\nMade by `python -m petscib.studies.{self.name}{quick}`"
+        text += f"; the command of every run is in `runs.csv`, such as\n`{examples[-1]}`.\n"
+        report.write_text(self.path(f"{self.name}.md"), text)
+        print(text)
+        self._say(f"results in {self.output}")
+
+
+def add_options(parser):
+    """The options that all studies share."""
+    parser.add_argument("-quick", action="store_true", help="a version of minutes")
+    parser.add_argument("-output", metavar="DIR", help="results (default: out/studies/NAME)")
+    parser.add_argument("-ranks", metavar="N", type=int, default=1, help="MPI ranks of each run")
+
+
+def _words(label):
+    parts = label if isinstance(label, tuple) else (label,)
+    return " ".join(f"{part:.6g}" if isinstance(part, float) else str(part) for part in parts)

@@ -1,0 +1,129 @@
+"""Wall seconds a step and in total (Hu & Lai, Table 3).
+
+The vesicle (0.1, 0.5) with sigma0 = 1e9, each scheme with the paper's time step, to T = 1.
+"""
+
+import sys
+
+from . import report
+from .campaign import Campaign
+
+SCHEMES = "ep", "mbe", "mcn", "be", "cn", "gbe", "gcn"
+END = 1.0
+# Hu & Lai's Table 3: by cells, time step of EP, and (seconds a step, in total) of EP, BE and CN.
+PAPER_EXPLICIT_DT = {128: 1.02e-6, 256: 3.81e-7, 512: 1.53e-7}
+PAPER = {
+    128: {"ep": (0.07, 68627), "mbe": (0.13, 8), "mcn": (0.13, 8)},
+    256: {"ep": (0.16, 419947), "mbe": (0.39, 50), "mcn": (0.43, 55)},
+    512: {"ep": (0.45, 2941176), "mbe": (1.25, 320), "mcn": (1.45, 371)},
+}
+COLUMNS = ("cells", "scheme", "dt", "steps", "step_seconds", "set_up_seconds", "total_seconds",
+           "extrapolated", "status", "paper_step_seconds", "paper_total_seconds")
+
+
+def main(arguments=None):
+    """Run the study."""
+    campaign = Campaign.from_command_line("cputime", __doc__.splitlines()[0], arguments)
+    if campaign.quick:
+        study(campaign, (128, 256), explicit_steps=20, implicit_steps=10, time_limit=120)
+    else:
+        study(campaign, (128, 256, 512), explicit_steps=200, implicit_steps=None, time_limit=7200)
+
+
+def study(campaign, cells, explicit_steps, implicit_steps, time_limit, schemes=SCHEMES):
+    """Make the runs and the results; returns the records.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    cells : tuple of int
+    explicit_steps : int
+        Steps of ep that are made.
+    implicit_steps : int or None
+        Steps of the others; None for all up to T = 1.
+    time_limit : float
+        Seconds a run.
+    schemes : sequence of str
+    """
+    declared = {
+        (count, scheme): declare(scheme, count,
+                                 explicit_steps if scheme == "ep" else implicit_steps)
+        for count in cells for scheme in schemes
+    }
+    outcomes = campaign.run_all(declared, time_limit)
+    records = [_record(label, declared[label]["ts_dt"], outcome)
+               for label, outcome in outcomes.items()]
+    campaign.write(COLUMNS, [[one.get(name) for name in COLUMNS] for one in records],
+                   _markdown(records, campaign.ranks))
+    _draw(campaign.path("cputime.png"), records)
+    return records
+
+
+def declare(scheme, cells, steps):
+    """Options of one run."""
+    dt = 2 / cells
+    if scheme == "ep":  # the trend of the paper's limits where it has none
+        dt = PAPER_EXPLICIT_DT.get(cells, 1.02e-6 * (128 / cells) ** 1.4)
+    end = END if steps is None else min(END, steps * dt)
+    return dict(scene="stiff", scheme=scheme, sigma0=1e9, stag_grid_x=cells, fft=True, ts_dt=dt,
+                ts_max_time=end)
+
+
+def _record(label, dt, outcome):
+    cells, scheme = label
+    paper_step, paper_total = PAPER.get(cells, {}).get(scheme, (None, None))
+    record = dict(cells=cells, scheme=scheme, dt=dt, steps=outcome.steps, status=outcome.status,
+                  paper_step_seconds=paper_step, paper_total_seconds=paper_total)
+    if outcome.finished:
+        steps, set_up = round(END / dt), float(outcome.column("wall_seconds")[0])
+        record.update(
+            step_seconds=outcome.step_seconds, set_up_seconds=set_up,
+            total_seconds=set_up + steps * outcome.step_seconds,
+            extrapolated=int(outcome.steps < steps))
+    return record
+
+
+def _markdown(records, ranks):
+    text = (f"Wall seconds a step and in total to T = {END:g}, set-up included; {ranks} MPI "
+            "rank(s); sigma0 = 1e9. `*`: extrapolated from fewer steps. In brackets the paper's "
+            "(a PC of 2013; its totals of ep at 256 and 512 are extrapolated too).\n")
+    rows = []
+    for one in records:
+        star = "*" if one.get("extrapolated") else ""
+        step, total = (report.number(one.get(name)) for name in ("step_seconds", "total_seconds"))
+        if one["paper_step_seconds"]:
+            step += f" ({one['paper_step_seconds']:g})"
+            total = f"{total}{star} ({one['paper_total_seconds']})"
+        else:
+            total += star
+        rows.append([f"{one['cells']}^2", one["scheme"], report.number(one["dt"]), step, total,
+                     one["status"]])
+    return text + "\n" + report.markdown_table(
+        ["cells", "scheme", "dt", "seconds a step", "total seconds", "run"], rows)
+
+
+def _draw(path, records):
+    cells = sorted({one["cells"] for one in records})
+    with report.picture(path, 10, 4, columns=2) as (figure, axes):
+        for axis, name, title in ((axes[0, 0], "step_seconds", "seconds a step"),
+                                  (axes[0, 1], "total_seconds", "seconds to T = 1")):
+            for scheme in dict.fromkeys(one["scheme"] for one in records):
+                group = [one for one in records if one["scheme"] == scheme]
+                _line(axis, group, name, scheme, "-")
+                _line(axis, group, "paper_" + name, f"{scheme}, Hu & Lai", ":", mfc="none")
+            axis.set_title(title)
+            axis.set_xlabel("cells across")
+            axis.set_xticks(cells, [str(count) for count in cells])
+            axis.minorticks_off()
+        report.legend_below(figure, axes[0, 0], 5)
+
+
+def _line(axis, group, name, label, line, **style):
+    known = [one for one in group if one.get(name)]
+    if known:
+        axis.loglog([one["cells"] for one in known], [one[name] for one in known], linestyle=line,
+                    label=label, **report.SCHEME_STYLES[known[0]["scheme"]], **style)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,76 @@
+"""Linear iterations over grid and stiffness, with and without condensation of the tube.
+
+An ellipse (0.1, 0.5) at rest, dt = h, tolerance 1e-6: conjugate gradients on the momentum system
+(scheme mbe) preconditioned by one GAMG V-cycle or by transforms; the same on the assembled matrix
+without condensation; FGMRES on the coupled system (scheme be).
+"""
+
+import sys
+
+from . import report
+from .campaign import Campaign
+
+MOST = 2000
+COMMON = {
+    "scene": "stiff",
+    "ts_max_steps": 2,
+    "momentum_ksp_rtol": 1e-6,
+    "momentum_ksp_max_it": MOST,
+    "coupled_ksp_rtol": 1e-6,
+}
+SOLVERS = {
+    "momentum, GAMG": {"scheme": "mbe"},
+    "momentum, transforms": {"scheme": "mbe", "fft": True},
+    "momentum, GAMG on the assembled matrix": {"scheme": "mbe", "momentum_condense": False},
+    "coupled, GAMG": {"scheme": "be"},
+    "coupled, transforms": {"scheme": "be", "fft": True},
+}
+
+
+def main(arguments=None):
+    """Run the study."""
+    campaign = Campaign.from_command_line("iterations", __doc__.splitlines()[0], arguments)
+    if campaign.quick:
+        study(campaign, (64, 128), (1e5, 1e9))
+    else:
+        study(campaign, (64, 128, 256), (1e5, 1e7, 1e9, 1e13))
+
+
+def study(campaign, cells, stiffnesses, solvers=tuple(SOLVERS)):
+    """Make the runs and the results; returns the rows of the CSV."""
+    declared = {
+        (solver, count, sigma0): dict(
+            COMMON, stag_grid_x=count, sigma0=sigma0, **SOLVERS[solver]
+        )
+        for solver in solvers for count in cells for sigma0 in stiffnesses
+    }
+    outcomes = campaign.run_all(declared)
+    rows = [(*label, most_iterations(outcome)) for label, outcome in outcomes.items()]
+    found = {row[:3]: row[3] for row in rows}
+    header = ["solver", "cells", *(f"sigma0 = {report.number(one, 1)}" for one in stiffnesses)]
+    table = [
+        [solver, f"{count}^2"]
+        + [_text(found[solver, count, sigma0]) for sigma0 in stiffnesses]
+        for solver in solvers for count in cells
+    ]
+    campaign.write(
+        ("solver", "cells", "sigma0", "iterations"),
+        rows,
+        "Largest number of iterations to 1e-6 in the first two steps (dt = h, ellipse "
+        "(0.1, 0.5)).\n\n" + report.markdown_table(header, table),
+    )
+    return rows
+
+
+def most_iterations(outcome):
+    """Most iterations of a step; None when a solve failed."""
+    name = "momentum" if outcome.run.options["scheme"] == "mbe" else "coupled"
+    return int(outcome.largest(f"{name}_iterations")) if outcome.finished else None
+
+
+def _text(count):
+    return f"none in {MOST}" if count is None else str(count)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

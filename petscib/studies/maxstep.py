@@ -1,0 +1,219 @@
+"""The largest stable time step of each scheme (Hu & Lai, Table 2).
+
+A time step counts as stable when the run finishes with the relative errors of area and perimeter
+within 1 percent at every step.  Implicit schemes run to T = 1 with time steps of at most 64 h.
+The explicit scheme would need up to millions of steps for that, so it only has to hold for a
+number of steps from rest, which the table names: its limit here is an upper bound of the true one.
+The search takes it that a time step above an unstable one is unstable too.
+"""
+
+import sys
+
+import numpy as np
+
+from . import report, runs
+from .campaign import Campaign
+
+SCHEMES = "ep", "mbe", "mcn", "be", "cn", "gbe", "gcn"
+STIFFNESSES = 1e7, 1e8, 1e9
+END = 1.0
+TOLERANCE = 0.01
+LARGEST = 64.0  # in units of h
+SMALLEST = 1 / 16
+EXPLICIT_SPAN = 16.0  # the search goes this factor up and down from the paper's value
+# Hu & Lai's Table 2: by cells and sigma0, the steps of EP, of modified BE and of modified CN.
+PAPER = {
+    (128, 1e7): (2.22e-5, 1.56e-2, 1.56e-2),
+    (128, 1e8): (4.36e-6, 1.56e-2, 1.56e-2),
+    (128, 1e9): (1.02e-6, 1.56e-2, 1.56e-2),
+    (256, 1e7): (1.03e-5, 7.81e-3, 7.81e-3),
+    (256, 1e8): (1.74e-6, 7.81e-3, 7.81e-3),
+    (256, 1e9): (3.81e-7, 7.81e-3, 7.81e-3),
+    (512, 1e7): (4.74e-6, 3.91e-3, 3.91e-3),
+    (512, 1e8): (7.44e-7, 3.91e-3, 3.91e-3),
+    (512, 1e9): (1.53e-7, 3.91e-3, 3.91e-3),
+}
+PAPER_SCHEMES = "ep", "mbe", "mcn"
+COLUMNS = ("scheme", "sigma0", "cells", "relation", "dt", "dt_over_h", "above_it", "paper_dt")
+EQUAL, AT_LEAST, BELOW = "=", ">=", "<"
+
+
+def main(arguments=None):
+    """Run the study."""
+    campaign = Campaign.from_command_line("maxstep", __doc__.splitlines()[0], arguments)
+    if campaign.quick:
+        study(campaign, (64,), (1e7, 1e9), explicit_steps=200, octave=2, time_limit=120)
+    else:
+        study(campaign, (128, 256, 512), STIFFNESSES, explicit_steps=1000, octave=4,
+              time_limit=3600)
+
+
+def study(campaign, cells, stiffnesses, explicit_steps, octave, time_limit, schemes=SCHEMES,
+          smallest=SMALLEST):
+    """Make the runs and the results; returns the records.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    cells : tuple of int
+    stiffnesses : tuple of float
+    explicit_steps : int
+        Steps that ep must survive.
+    octave : int
+        How many time steps the search tells apart between one and its double.
+    time_limit : float
+        Seconds a run.
+    schemes : sequence of str
+    smallest : float
+        Where the search for implicit schemes ends, in units of h.
+    """
+    records = []
+    cases = [(count, sigma0, scheme) for count in cells for sigma0 in stiffnesses
+             for scheme in schemes]
+    for number, (count, sigma0, scheme) in enumerate(cases, 1):
+        h = 2 / count
+        if scheme == "ep":
+            middle = explicit_guess(count, sigma0)
+            low, high = middle / EXPLICIT_SPAN, middle * EXPLICIT_SPAN
+        else:
+            low, high = smallest * h, min(LARGEST * h, END)
+
+        def judge(dt, number=number, count=count, sigma0=sigma0, scheme=scheme):
+            end = explicit_steps * dt if scheme == "ep" else END
+            outcome = campaign.run(
+                f"{scheme} sigma0 {sigma0:g} {count}^2 dt {dt:.3g}",
+                declare(scheme, sigma0, count, dt, end), time_limit, f"{number}/{len(cases)}")
+            return trouble(outcome)
+
+        relation, dt, above = search(judge, low, high, octave)
+        records.append(dict(scheme=scheme, sigma0=sigma0, cells=count, relation=relation, dt=dt,
+                            dt_over_h=dt / h, above_it=above,
+                            paper_dt=paper(scheme, sigma0, count)))
+    campaign.write(COLUMNS, [[one[name] for name in COLUMNS] for one in records],
+                   _markdown(records, explicit_steps, octave))
+    _draw(campaign.path("maxstep.png"), records, stiffnesses)
+    return records
+
+
+def declare(scheme, sigma0, cells, dt, end):
+    """Options of one run."""
+    return dict(scene="stiff", scheme=scheme, sigma0=sigma0, stag_grid_x=cells, fft=True,
+                ts_dt=dt, ts_max_time=end)
+
+
+def trouble(outcome):
+    """Why a run does not count as stable; an empty text when it does."""
+    if outcome.status == runs.FAILED:
+        return f"fails at step {outcome.steps + 1}"
+    if not outcome.finished:
+        return outcome.status
+    for name in ("area", "perimeter"):
+        error = outcome.largest(f"{name}_error")
+        if error > TOLERANCE:
+            return f"{name} error {report.number(error, 2)}"
+    return ""
+
+
+def search(judge, low, high, octave):
+    """The largest step without trouble between two bounds, by bisection of its logarithm.
+
+    Parameters
+    ----------
+    judge : callable
+        Of a step, the trouble it gives.
+    low, high : float
+    octave : int
+        Steps told apart between one and its double.
+
+    Returns
+    -------
+    relation, step, trouble
+        "=" and the largest good step, with the trouble of the next that was tried; ">=" and
+        `high`, or "<" and `low`, when all or none are good.
+    """
+    above = judge(high)
+    if not above:
+        return AT_LEAST, high, ""
+    count = max(1, round(octave * np.log2(high / low)))
+    steps = high * 2.0 ** (-np.arange(count + 1)[::-1] / octave)  # steps[0] is about `low`
+    good, bad = -1, count
+    while bad - good > 1:
+        middle = (good + bad) // 2
+        found = judge(float(steps[middle]))
+        if found:
+            bad, above = middle, found
+        else:
+            good = middle
+    return (EQUAL, float(steps[good]), above) if good >= 0 else (BELOW, float(steps[0]), above)
+
+
+def explicit_guess(cells, sigma0):
+    """About where the limit of ep lies: the paper's value, or its trend on other grids."""
+    known = PAPER.get((cells, sigma0))
+    return known[0] if known else 2.22e-5 * (128 / cells) * (1e7 / sigma0) ** 0.7
+
+
+def paper(scheme, sigma0, cells):
+    """The paper's entry, or None."""
+    entries = dict(zip(PAPER_SCHEMES, PAPER.get((cells, sigma0), ())))
+    return entries.get(scheme)
+
+
+def _markdown(records, explicit_steps, octave):
+    schemes = list(dict.fromkeys(one["scheme"] for one in records))
+    entries = {(one["cells"], one["sigma0"], one["scheme"]): one for one in records}
+    text = (f"Largest stable time step, to a factor of {2 ** (1 / octave):.2f} (area and perimeter "
+            f"within 1 percent up to T = {END:g}, ellipse (0.1, 0.5), c_b = 0.01, at most "
+            f"{LARGEST:g} h; ep: over {explicit_steps} steps from rest); in brackets dt/h, in "
+            "square brackets the paper's dt. `<` means that no step down to this one holds.\n")
+    rows = []
+    for count, sigma0 in dict.fromkeys((one["cells"], one["sigma0"]) for one in records):
+        row = [f"{count}^2", report.number(sigma0, 1)]
+        for scheme in schemes:
+            one = entries[count, sigma0, scheme]
+            relation = "" if one["relation"] == EQUAL else one["relation"] + " "
+            entry = f"{relation}{report.number(one['dt'])} ({report.number(one['dt_over_h'])})"
+            if one["paper_dt"]:
+                entry += f" [{report.number(one['paper_dt'])}]"
+            row.append(entry)
+        rows.append(row)
+    text += "\n" + report.markdown_table(["cells", "sigma0", *schemes], rows)
+    rows = [[f"{one['cells']}^2", report.number(one["sigma0"], 1), one["scheme"], one["above_it"]]
+            for one in records if one["above_it"]]
+    return text + "\nWhat goes wrong just above:\n\n" + report.markdown_table(
+        ["cells", "sigma0", "scheme", "trouble"], rows)
+
+
+def _draw(path, records, stiffnesses):
+    with report.picture(path, 4.2 * len(stiffnesses), 4.2, columns=len(stiffnesses),
+                        sharey=True) as (figure, axes):
+        for axis, sigma0 in zip(axes[0], stiffnesses):
+            _draw_panel(axis, [one for one in records if one["sigma0"] == sigma0])
+            axis.set_title(f"$\\sigma_0$ = {report.number(sigma0, 1)}")
+            axis.set_xlabel("cells across")
+        axes[0, 0].set_ylabel(r"largest stable $\Delta t$")
+        report.legend_below(figure, axes[0, 0], 6)
+
+
+def _draw_panel(axis, records):
+    cells = sorted({one["cells"] for one in records})
+    schemes = list(dict.fromkeys(one["scheme"] for one in records))
+    for k, scheme in enumerate(schemes):
+        style = report.SCHEME_STYLES[scheme]
+        group = [one for one in records if one["scheme"] == scheme]
+        # Side by side, since several schemes share the same limit.
+        places = np.array([one["cells"] for one in group]) * 1.05 ** (k - len(schemes) / 2)
+        axis.loglog(places, [one["dt"] for one in group], label=scheme, **style)
+        known = [one for one in group if one["paper_dt"]]
+        if known:
+            axis.loglog([one["cells"] for one in known], [one["paper_dt"] for one in known],
+                        linestyle=":", markersize=10, markerfacecolor="none",
+                        label=f"{scheme}, Hu & Lai", **style)
+    axis.loglog(cells, [2 / count for count in cells], color="k", linewidth=0.8, linestyle="--",
+                label=r"$\Delta t = h$")
+    axis.set_xticks(cells, [str(count) for count in cells])
+    axis.minorticks_off()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

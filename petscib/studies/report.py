@@ -1,0 +1,94 @@
+"""What the studies leave: CSV, Markdown tables and pictures."""
+
+import csv
+import os
+from contextlib import contextmanager
+
+from ..output.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, STYLE, VERMILLION
+
+# One look for a scheme in every picture.
+SCHEME_STYLES = {
+    "ep": dict(color=GREY, marker="x"),
+    "mbe": dict(color=BLUE, marker="o"),
+    "mcn": dict(color=SKY, marker="s"),
+    "be": dict(color=ORANGE, marker="^"),
+    "cn": dict(color=VERMILLION, marker="v"),
+    "gbe": dict(color=GREEN, marker="D"),
+    "gcn": dict(color=PURPLE, marker="P"),
+}
+SERIES_COLOURS = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY)
+
+
+def number(value, digits=3):
+    """A number for a table: short, and a dash where there is none."""
+    if value is None or value != value:
+        return "-"
+    if value == 0:
+        return "0"
+    if 0.01 <= abs(value) < 10 ** max(digits, 4):
+        return f"{value:.{digits}g}"
+    mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+    return f"{mantissa}e{int(exponent)}"
+
+
+def duration(seconds):
+    """A time span in words."""
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    minutes = seconds / 60
+    return f"{minutes:.0f} min" if minutes < 100 else f"{minutes / 60:.1f} h"
+
+
+def markdown_table(header, rows):
+    """A table in Markdown; entries are texts."""
+    lines = ["| " + " | ".join(header) + " |", "|" + " --- |" * len(header)]
+    lines += ["| " + " | ".join(row) + " |" for row in rows]
+    return "\n".join(lines) + "\n"
+
+
+def write_csv(path, columns, rows):
+    """Replace a CSV file; None becomes an empty field."""
+    with open(path + ".part", "w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(rows)
+    os.replace(path + ".part", path)
+
+
+def write_text(path, text):
+    """Replace a text file."""
+    with open(path + ".part", "w") as file:
+        file.write(text)
+    os.replace(path + ".part", path)
+
+
+@contextmanager
+def picture(path, width, height, rows=1, columns=1, **keywords):
+    """A figure and its array of axes, written to a PNG file when the block ends.
+
+    Parameters
+    ----------
+    path : str
+    width, height : float
+        Inches.
+    rows, columns : int
+    **keywords
+        For matplotlib's `Figure.subplots`.
+    """
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(width, height), layout="constrained")
+        FigureCanvasAgg(figure)
+        yield figure, figure.subplots(rows, columns, squeeze=False, **keywords)
+        part = path + ".part"
+        figure.savefig(part, format="png", bbox_inches="tight", pad_inches=0.06)
+        os.replace(part, path)
+
+
+def legend_below(figure, axis, columns):
+    """One legend for all panels, under them."""
+    handles, labels = axis.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncol=columns)

@@ -1,0 +1,221 @@
+"""Wrong input: one line that says what and what else, status 2, and nothing written."""
+import os
+
+import numpy as np
+import pytest
+from runs import SMALL, comm
+
+from petscib import options, restart
+from petscib.errors import InputError
+from petscib.simulation import Simulation
+
+# --- one process, every stage of a start: options, restart, marker file, output folder
+
+
+def refusal(tmp_path, words):
+    """The message; one line, and the folder is as before."""
+    before = sorted(os.listdir(tmp_path))
+    database = {**SMALL, "output": str(tmp_path / "out"), **words}
+    with pytest.raises(InputError) as caught:
+        Simulation(options.read(restart.merge(database, comm)))
+    message = str(caught.value)
+    assert len(message.splitlines()) == 1 and len(message) < 400
+    assert sorted(os.listdir(tmp_path)) == before
+    return message
+
+
+WRONG = [
+    ("sigma", "1", "-sigma 1: unknown option", "nearest: -sigma0"),
+    ("ksp_rtol", "1e-3", "unknown option", "nearest: -momentum_ksp_rtol"),
+    ("momentun_ksp_rtol", "1", "unknown option", "nearest: -momentum_ksp_rtol"),
+    ("checkpoint_evry", "1", "unknown option", "nearest: -checkpoint_every"),
+    ("xdmf", "1", "unknown option"),
+    ("restrat", "a.h5", "unknown option", "nearest: -restart"),
+    ("ts_dt", "0", "out of range", "number above 0"),
+    ("ts_dt", "-1", "out of range", "number above 0"),
+    ("ts_dt", "nan", "not a number"),
+    ("ts_dt", "0,1", "not a number"),
+    ("ts_max_time", "-1", "out of range"),
+    ("ts_max_steps", "1.5", "not a whole number"),
+    ("ts_adapt", "yess", "not a switch's value"),
+    ("stag_grid_x", "7", "from 8"),
+    ("stag_grid_x", "24.5", "not a whole number"),
+    ("mu", "0", "number above 0"),
+    ("rho", "nan", "not a number"),
+    ("domain", "0,0,0,1", "empty"),
+    ("axes", "0.2", "not 2 values"),
+    ("axes", "2,0.3", "beyond the wall"),
+    ("axes", "0.2,0.95", "of the wall"),
+    ("center", "0.9,0", "beyond the wall x = 1"),
+    ("markers", "9", "at least"),
+    ("scheme", "cnn", "nearest: cn"),
+    ("delta", "yan", "nearest: yang"),
+    ("flow", "tornado", "no such choice"),
+    ("checkpoint_every", "-1", "from 0"),
+    ("checkpoint_minutes", "-0.1", "from 0"),
+    ("checkpoint_minutes", "soon", "not a number"),
+    ("checkpoint_keep", "0", "from 1"),
+    ("xdmf_every", "-1", "from 0"),
+    ("xdmf_every", "2.0", "not a whole number"),
+    ("monitor", "on", "none, bar, log"),
+    ("restart", "", "needs a value"),
+    ("restart", "none.h5", "none.h5: No such file"),
+    ("restart", "latest", "no complete checkpoint in"),
+    ("restart", __file__, "not an HDF5 file"),
+    ("restart", os.path.dirname(__file__), "Is a directory"),
+    ("output", __file__, "is a file"),
+    ("output", os.path.join(__file__, "below"), "is a file"),
+    ("output", "/proc/petscib", "/proc/petscib: No such file or directory"),
+    ("marker_file", "none.txt", "gives the shape already"),
+    ("rest_length", "-1", "number above 0"),
+]
+
+
+@pytest.mark.parametrize("name, text, fragments", [(n, t, f) for n, t, *f in WRONG])
+def test_a_wrong_option(tmp_path, name, text, fragments):
+    message = refusal(tmp_path, {name: text})
+    for fragment in fragments:
+        assert fragment in message
+
+
+CONTRADICTIONS = [
+    (dict(scheme="ep", startup="2"), "no start-up steps"),
+    (dict(scheme="ep", stretch="evolve"), "takes its force from the markers"),
+    (dict(flow="rest", shear_rate="1"), "the flow is rest"),
+    (dict(vesicles="0"), "there is no vesicle"),
+    (dict(sigma0="0", rest_length="1"), "no meaning without tension"),
+    (dict(marker_file=__file__), "-marker_file gives the shape already"),
+]
+
+
+@pytest.mark.parametrize("words, fragment", CONTRADICTIONS)
+def test_contradicting_options(tmp_path, words, fragment):
+    assert fragment in refusal(tmp_path, words)
+
+
+# --- marker files
+
+TURN = np.linspace(0, 2 * np.pi, 80, endpoint=False)
+CIRCLE = np.stack((0.4 * np.cos(TURN), 0.4 * np.sin(TURN)), axis=1)
+
+
+def lines(points):
+    return "".join(f"{x!r} {y!r}\n" for x, y in np.asarray(points).tolist())
+
+
+def edited(row, point):
+    points = CIRCLE.copy()
+    points[row] = point
+    return lines(points)
+
+
+def swapped(one, other):
+    points = CIRCLE.copy()
+    points[[one, other]] = points[[other, one]]
+    return lines(points)
+
+
+FILES = {
+    "nan": (edited(3, (np.nan, 0)), "line 4 is not finite"),
+    "infinite": (edited(9, (0, np.inf)), "line 10 is not finite"),
+    "duplicate neighbours": (edited(5, CIRCLE[4]), "the point of line 5 again in line 6"),
+    "duplicate far away": (edited(50, CIRCLE[4]), "the point of line 5 again in line 51"),
+    "too few": (lines(CIRCLE[:7]), "7 points, and a closed curve needs 8"),
+    "one point": ("0 0\n", "1 points"),
+    "empty": ("", "0 points"),
+    "comments only": ("# x y\n\n# end\n", "0 points"),
+    "one column": ("0.1\n" * 20, "line 1 has 1 columns"),
+    "three columns": ("0 0 0\n" * 20, "line 1 has 3 columns"),
+    "a header": ("x y\n" + lines(CIRCLE), "line 1 is not two numbers"),
+    "decimal commas": ("0,1 0,2\n" * 20, "line 1 has 4 columns"),
+    "bytes": (b"\x89HDF\r\n\x1a\n\xff\xfe", "not a text file"),
+    "crossing": (swapped(10, 50), "the curve crosses itself, after lines"),
+    "figure of eight": (lines(np.stack((0.4 * np.sin(TURN + 0.1), 0.4 * np.sin(2 * TURN + 0.2)),
+                                       axis=1)), "the curve crosses itself"),
+    "there and back": (lines(np.stack((0.4 * np.cos(TURN + 0.01), 0 * TURN), axis=1)),
+                       "crosses itself"),
+    "outside": (lines(CIRCLE + (0.9, 0)), "beyond the wall x = 1"),
+    "near a wall": (lines(CIRCLE + (0, 0.5)), "of the wall y = 1"),
+    "tiny": (lines(0.01 * CIRCLE), "at least 8 markers"),
+}
+
+
+@pytest.fixture
+def no_axes(monkeypatch):
+    monkeypatch.delitem(SMALL, "axes")
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_wrong_marker_file(tmp_path, no_axes, name):
+    content, fragment = FILES[name]
+    path = tmp_path / "markers.txt"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    message = refusal(tmp_path, {"marker_file": str(path)})
+    assert message.startswith(f"-marker_file {path}: ") and fragment in message
+    assert "; allowed: " in message
+
+
+@pytest.mark.parametrize("words, fragment", [
+    (dict(marker_file="none.txt"), "-marker_file none.txt: no such file"),
+    (dict(center="0.1,0"), "-center 0.1,0: -marker_file gives the place already"),
+    (dict(angle="10"), "-angle 10: -marker_file gives the place already"),
+    (dict(markers="12"), "-markers 12: 12 markers on a perimeter of 2.51"),
+])
+def test_options_that_a_marker_file_forbids(tmp_path, no_axes, words, fragment):
+    (tmp_path / "markers.txt").write_text(lines(CIRCLE))
+    assert fragment in refusal(tmp_path, {"marker_file": str(tmp_path / "markers.txt"), **words})
+
+
+@pytest.mark.parallel([1, 3])
+@pytest.mark.parametrize("turn", [1, -1])
+def test_a_right_marker_file(tmp_path, no_axes, turn):
+    """Either orientation, commas, comments, and a last point that repeats the first."""
+    path = tmp_path / "markers.txt"
+    if comm.rank == 0:
+        points = np.concatenate((CIRCLE, CIRCLE[:1]))[::turn]
+        path.write_text("# a circle\n" + lines(points).replace(" ", ", ") + "\n  # end\n")
+    comm.Barrier()
+    database = {**SMALL, "output": str(tmp_path / "out"), "marker_file": str(path)}
+    simulation = Simulation(options.read(database))
+    markers, ds = simulation.state.markers, simulation.problem.membrane.ds
+    simulation.destroy()
+    count = comm.bcast(len(markers))
+    assert count == round(0.8 * np.pi / (1 / 24)) and np.isclose(count * ds, 0.8 * np.pi, 1e-6)
+    if comm.rank == 0:
+        np.testing.assert_allclose(markers[0], CIRCLE[0], atol=1e-12)
+        np.testing.assert_allclose(np.hypot(*markers.T), 0.4, rtol=1e-6)
+        edges = np.hypot(*(markers - np.roll(markers, 1, axis=0)).T)
+        np.testing.assert_allclose(edges, edges.mean(), rtol=1e-6)
+        np.testing.assert_allclose(simulation.state.stretch, 1, rtol=1e-3)
+
+
+# --- the real command line, on 2 ranks
+
+COMMANDS = [
+    (["-sigma0", "abc"], "-sigma0 abc: not a number"),
+    (["-sgima0", "1"], "-sgima0 1: unknown option", "nearest: -sigma0"),
+    (["-axes", "0.1", "0.5"], "-axes 0.1 0.5: one value without blanks"),
+    (["tanktreading"], "tanktreading: one value without blanks"),
+    (["-center", "0.95,0"], "beyond the wall x = 1"),
+    (["-marker_file", "bad.txt"], "-marker_file bad.txt: line 2 is not finite"),
+    (["-restart", "bad.txt"], "bad.txt: not an HDF5 file"),
+    (["-restart", "latest"], "no complete checkpoint in out/here"),
+    (["-options_file", "bad.options"], "-mu -1: out of range"),
+    (["-output", "bad.txt"], "-output bad.txt: bad.txt is a file"),
+]
+
+
+@pytest.mark.parametrize("words, fragments", [(w, f) for w, *f in COMMANDS],
+                         ids=[" ".join(w) for w, *_ in COMMANDS])
+def test_the_command_line(mpirun, tmp_path, words, fragments):
+    (tmp_path / "bad.txt").write_text("0 0\n0 nan\n")
+    (tmp_path / "bad.options").write_text("-mu -1\n")
+    before = set(os.listdir(tmp_path))
+    output = [] if "-output" in words else ["-output", "out/here"]
+    result = mpirun(2, "-m", "petscib", *output, *words, check=False, timeout=30)
+    assert result.returncode == 2 and result.stdout == ""
+    message, = result.stderr.splitlines()
+    assert message.startswith("petscib: ")
+    for fragment in fragments:
+        assert fragment in message
+    assert set(os.listdir(tmp_path)) - before == {"mpirun.stdout", "mpirun.stderr"}
