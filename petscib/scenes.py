@@ -40,6 +40,7 @@ _SCENES = (
         "a thin vesicle turns its membrane in shear flow (Hu & Lai, section 4.3)",
         dict(flow="shear", shear_rate=1.0, axes=(0.1, 0.5), sigma0=1e5, bending=0.01,
              ts_max_time=10.0),
+        dt_over_h=0.25,
     ),
     Scene(
         "relaxation",

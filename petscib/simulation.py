@@ -18,6 +18,7 @@ from .output import checkpoint
 from .output.checkpoint import Progress
 from .output.results import Results
 from .settings import text_of
+from .solvers import krylov
 from .start import build_problem
 from .stepsize import StepSize
 
@@ -272,5 +273,6 @@ class Simulation:
             self.results.say(f"petscib: no solver has read -{name}")
 
     def destroy(self):
-        """Free the solvers, before PETSc goes."""
+        """Free the solvers, before PETSc goes, and forget their defaults."""
         self.scheme.destroy()
+        krylov.withdraw_defaults()

@@ -9,6 +9,7 @@ _REASONS = {
     for name, value in vars(PETSc.KSP.ConvergedReason).items()
     if isinstance(value, int) and name.startswith("DIVERGED")
 }
+_entered = []  # full names of the defaults that are in PETSc's database
 
 
 class Operator:
@@ -48,11 +49,21 @@ class _Action:
 
 
 def set_defaults(prefix, defaults):
-    """Enter options under `prefix` unless the user has given them."""
+    """Enter options under `prefix` unless the user has given them.
+
+    They stay in PETSc's database, because inner solvers read theirs late.
+    """
     options = PETSc.Options(prefix)
     for name, value in defaults.items():
         if not options.hasName(name):
             options[name] = value
+            _entered.append(prefix + name)
+
+
+def withdraw_defaults():
+    """Take all defaults out of PETSc's database again, for the next run in this process."""
+    while _entered:
+        PETSc.Options().delValue(_entered.pop())
 
 
 def create(matrix, prefix, defaults, preconditioning_matrix=None):
