@@ -1,7 +1,7 @@
 # .ci/setup installs what is missing and leaves the interpreter in $python.
 SETUP = set -e; root=$$PWD; . .ci/setup
 
-.PHONY: setup test run lint clean
+.PHONY: setup test run studies bench lint clean
 
 setup:
 	@needs="pytest hypothesis"; $(SETUP)
@@ -11,6 +11,14 @@ test:
 
 run:
 	@./run $(ARGS)
+
+# make studies ARGS=-quick: half an hour instead of a day
+studies:
+	@needs="scipy matplotlib"; $(SETUP); "$$python" -m petscib.studies $(ARGS)
+
+# make bench ARGS=-quick: a version of minutes, up to 128^2
+bench:
+	@needs="scipy matplotlib"; $(SETUP); "$$python" -m petscib.studies.bench $(ARGS)
 
 lint:
 	@needs="ruff"; $(SETUP); "$$python" -m ruff check

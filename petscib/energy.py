@@ -40,7 +40,7 @@ def measure(problem, state):
     operators, grid = problem.operators, problem.grid
     squares = state.velocity.dot(state.velocity) - operators.wall_faces / 2
     kinetic = problem.rho / 2 * grid.cell_area * squares
-    if problem.membrane is None:
+    if not problem.acted_on:
         return Energies(kinetic, 0.0, 0.0)
     local = _membrane_energies(problem.membrane, state.stretch, state.markers)
     tension, bending = grid.comm.tompi4py().bcast(local)
@@ -127,7 +127,7 @@ def balance(problem, step):
         ledger.wall_power -= factor * dt * area * pressure.dot(operators.wall_flux)
     work.destroy()
 
-    if membrane is not None:
+    if problem.acted_on:
         terms = _membrane_terms(membrane, step, excess)
         ledger.tension, ledger.bending, ledger.reset = problem.grid.comm.tompi4py().bcast(terms)
     return ledger
@@ -136,14 +136,16 @@ def balance(problem, step):
 def _membrane_terms(membrane, step, excess):
     """Dissipation by tension and bending, and the reset; on the rank with the markers."""
     ds, dt, start, end = membrane.ds, step.dt, step.start, step.end
-    tension = -membrane.sigma0 * excess * dt**2 * ds * np.sum(step.stretch_rate**2)
-    bending = 0.0
+    tension, bending, stretch = 0.0, 0.0, start.stretch
+    if membrane.sigma0:
+        tension = -membrane.sigma0 * excess * dt**2 * ds * np.sum(step.stretch_rate**2)
+        stretch = stretch + dt * step.stretch_rate
     if membrane.bending:
         bent = geometry.second_difference(step.marker_velocity, ds)
         bending = -membrane.bending * excess * dt**2 * ds * np.sum(bent**2)
     predicted = _membrane_energies(
         membrane,
-        start.stretch + dt * step.stretch_rate,
+        stretch,
         start.markers + dt * step.marker_velocity,
     )
     carried = _membrane_energies(membrane, end.stretch, end.markers)

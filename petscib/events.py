@@ -1,6 +1,7 @@
-"""Named phases of a run: PETSc log events, and wall seconds for the summary.
+"""Named phases and stages of a run: PETSc log events and stages, and seconds for the summary.
 
-`-log_view` lists them with flops and messages; `seconds` and `calls` are kept always.
+`-log_view` lists them with flops and messages; `seconds` and `calls` are kept always.  A phase's
+`seconds` are without those of phases inside it, so that they add up; PETSc's are with them.
 """
 
 from collections import Counter
@@ -11,7 +12,14 @@ from petsc4py import PETSc
 
 seconds = Counter()
 calls = Counter()
-_events = {}
+_events, _stages = {}, {}
+_inner = [0.0]  # seconds in phases inside each of those at work, the outermost first
+
+
+def forget():
+    """Begin to count anew."""
+    seconds.clear()
+    calls.clear()
 
 
 @contextmanager
@@ -21,10 +29,25 @@ def phase(name):
         _events[name] = PETSc.Log.Event(name)
     event = _events[name]
     start = perf_counter()
+    _inner.append(0.0)
     event.begin()
     try:
         yield
     finally:
         event.end()
-        seconds[name] += perf_counter() - start
+        elapsed = perf_counter() - start
+        seconds[name] += elapsed - _inner.pop()
+        _inner[-1] += elapsed
         calls[name] += 1
+
+
+@contextmanager
+def stage(name):
+    """Show what PETSc does inside the block in a table of its own in `-log_view`."""
+    if name not in _stages:
+        _stages[name] = PETSc.Log.Stage(name)
+    _stages[name].push()
+    try:
+        yield
+    finally:
+        _stages[name].pop()

@@ -6,6 +6,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from .coupling.interpolation import Interpolation
+from .events import phase
 from .membrane import geometry
 
 
@@ -61,7 +62,7 @@ class Step:
     projection : PETSc.Vec or None
         Pressure increment phi of a projection scheme.
     stretch_rate : ndarray, shape (M,)
-        Surface divergence of the stage velocity along the step's tangent.
+        Surface divergence of the stage velocity along the step's tangent; None without tension.
     marker_velocity : ndarray, shape (M, 2)
         The stage velocity at the markers.
     iterations : dict
@@ -83,12 +84,16 @@ class Step:
 
     def discard(self):
         """Free the vectors that only this step and its start hold.  Collective."""
+        comm = self.start.velocity.comm
         self.start.destroy()
         for part in self.parts[:-1]:
             part.end.destroy()
         for step in self.parts or (self,):
             if step.projection is not None:
                 step.projection.destroy()
+        # petsc4py frees what Python has dropped only on request, on all ranks together.
+        PETSc.garbage_cleanup(PETSc.COMM_SELF)
+        PETSc.garbage_cleanup(comm)
 
 
 class Problem:
@@ -121,7 +126,13 @@ class Problem:
         """The matrix J at these marker positions, or None without a membrane.  Collective."""
         if self.membrane is None:
             return None
-        return Interpolation(self.grid, self.kernel, markers, self.membrane.ds)
+        with phase("interpolation assembly"):
+            return Interpolation(self.grid, self.kernel, markers, self.membrane.ds)
+
+    @property
+    def acted_on(self):
+        """Whether a membrane exerts forces on the fluid."""
+        return self.membrane is not None and self.membrane.acts
 
     def fluid_rhs(self, velocity, interval, rhs):
         """Set rhs = rho / (theta dt) u^n + mu (walls' part of the Laplacian)."""
@@ -129,6 +140,12 @@ class Problem:
         rhs.scale(self.rho / interval)
         if self.operators.wall_source is not None:
             rhs.axpy(self.mu, self.operators.wall_source)
+
+    def add_force(self, state, tangent, interpolation, rhs):
+        """Add the membrane force of a state, spread to the grid.  Collective."""
+        with phase("forces"):
+            force = self.membrane.force(state.markers, state.stretch, tangent)
+            interpolation.spread_add(force, rhs)
 
     def first_guess(self, state):
         """The stage velocity, extrapolated from the last two steps (a new vector)."""

@@ -12,7 +12,7 @@ from petsc4py import PETSc
 from . import energy, events, guard, schemes, solver_options
 from .diagnostics import Diagnostics
 from .errors import InputError, OutputError, SolveError
-from .events import phase
+from .events import phase, stage
 from .interrupt import Interrupt
 from .output import checkpoint
 from .output.checkpoint import Progress
@@ -29,11 +29,13 @@ def _use_transforms(settings):
     """Make fast direct solvers the default."""
     from .solvers import transforms  # needs scipy
 
-    fluid_alone = settings.scheme == "ep" or not settings.vesicles
-    transforms.use("momentum_", transforms.FluidTransform, fluid_alone)
-    transforms.use("poisson_", transforms.PoissonTransform, alone=True)
-    transforms.use("coupled_velocity_", transforms.FluidTransform, alone=True)
-    transforms.use("coupled_poisson_", transforms.PoissonTransform, alone=True)
+    if settings.scheme in ("ep", "mbe", "mcn"):
+        fluid_alone = settings.scheme == "ep" or not (settings.sigma0 or settings.bending)
+        transforms.use("momentum_", transforms.FluidTransform, fluid_alone)
+        transforms.use("poisson_", transforms.PoissonTransform, alone=True)
+    else:
+        transforms.use("coupled_velocity_", transforms.FluidTransform, alone=True)
+        transforms.use("coupled_poisson_", transforms.PoissonTransform, alone=True)
 
 
 def _controls(settings):
@@ -58,6 +60,7 @@ class Simulation:
     """
 
     def __init__(self, settings, comm=None, interrupt=None):
+        events.forget()
         self.settings = settings
         self.interrupt = interrupt or Interrupt()
         self.signal = 0
@@ -70,7 +73,7 @@ class Simulation:
         header = self._header(settings) if settings.restart is not None else None
         self.progress = header.progress if header else Progress()
         self.progress.solver_options = asked
-        with phase("set-up"):
+        with stage("set-up"), phase("set-up"):
             self.problem, self.state = build_problem(settings, comm, header)
             if settings.fft:
                 _use_transforms(settings)
@@ -120,8 +123,13 @@ class Simulation:
                 )
         return header
 
-    def run(self):
+    def run(self, after_step=None):
         """Step until the end time, the last step or a signal; leave the results.
+
+        Parameters
+        ----------
+        after_step : callable, optional
+            Called after each step, without arguments.
 
         Returns
         -------
@@ -140,14 +148,17 @@ class Simulation:
         last = self.last_step if self.last_step < math.inf else None
         results.monitor.start(first, self.state.time, settings.ts_max_time, last)
         try:
-            if settings.restart is None:  # else the row of the first state is there already
-                self._record(None)
-                self._output(results.write_fields, self.state)
-            while not self._finished() and not self.signal:
-                self._advance()
-                self._save_when_due()
-                if self.state.step == first + 1:
-                    self._warn_of_unread_options()
+            with stage("stepping"):
+                if settings.restart is None:  # else the row of the first state is there already
+                    self._record(None)
+                    self._write_fields()
+                while not self._is_last(self.state) and not self.signal:
+                    self._advance()
+                    self._save_when_due()
+                    if self.state.step == first + 1:
+                        self._warn_of_unread_options()
+                    if after_step is not None:
+                        after_step()
             if not self.signal:
                 self._save("final.h5")
         except OutputError as error:
@@ -156,15 +167,19 @@ class Simulation:
         finally:
             results.close()
         ended = signal.Signals(self.signal).name if self.signal else "finished"
-        with phase("output"):
+        with stage("output"), phase("output"):
             if settings.plot and not self.signal:
                 results.draw()
             seconds = perf_counter() - self.began
             return results.summarise(self.state.step - first, seconds, events.seconds, ended)
 
-    def _finished(self):
-        left = self.settings.ts_max_time - self.state.time
-        return self.state.step >= self.last_step or left <= ROUND_OFF * self.settings.ts_dt
+    def _is_last(self, state):
+        left = self.settings.ts_max_time - state.time
+        return state.step >= self.last_step or left <= ROUND_OFF * self.settings.ts_dt
+
+    def _has_row(self, state):
+        """Whether a row of diagnostics is due."""
+        return state.step % self.settings.diagnostics_every == 0 or self._is_last(state)
 
     def _next_dt(self):
         """The time step, shortened to end on time but for round-off."""
@@ -190,15 +205,17 @@ class Simulation:
             PETSc.garbage_cleanup()
         self.step_size.accept()
         self.state = step.end
-        if self.state.step % self.settings.diagnostics_every == 0 or self._finished():
+        if self._has_row(self.state):
             self._record(step)
-        self._output(self.results.write_fields, self.state)
+        self._write_fields()
         step.discard()
 
     def _attempt(self, dt):
         step = self.scheme.step(self.state, dt)
-        guard.check(self.problem, step.end)
-        if self.settings.ledger != "none":
+        with phase("checks"):
+            guard.check(self.problem, step.end)
+        asked = self.settings.ledger
+        if asked != "none" and (asked != "record" or self._has_row(step.end)):
             with phase("ledger"):
                 self._check_ledger(step)
         return step
@@ -236,6 +253,11 @@ class Simulation:
         row["wall_seconds"] = self._wall_seconds()
         self._output(self.results.record, row, self.state)
 
+    def _write_fields(self):
+        every = self.settings.xdmf_every
+        if every and self.state.step % every == 0:
+            self._output(self.results.write_fields, self.state)
+
     def _save_when_due(self):
         """Agree on what signals and the clock ask for, and do it.  Collective."""
         minutes, every = self.settings.checkpoint_minutes, self.settings.checkpoint_every
@@ -245,7 +267,7 @@ class Simulation:
         self.comm.Allreduce(mine, agreed, op=MPI.MAX)
         self.signal, late = agreed.tolist()
         if (self.signal or late or every and self.state.step % every == 0) and not (
-            self._finished() and not self.signal
+            self._is_last(self.state) and not self.signal
         ):
             self._save()
 
@@ -263,7 +285,7 @@ class Simulation:
         return self.wall_seconds_before + perf_counter() - self.began
 
     def _output(self, write, *arguments):
-        with phase("output"):
+        with stage("output"), phase("output"):
             return write(*arguments)
 
     def _warn_of_unread_options(self):

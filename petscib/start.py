@@ -49,7 +49,7 @@ def build_problem(settings, comm, header=None):
         settings.mu,
         membrane,
         KERNELS[settings.delta],
-        settings.stretch == "evolve",
+        settings.stretch == "evolve" and settings.sigma0 > 0,  # else nothing asks for it
     )
     if header is not None:
         return problem, checkpoint.load_state(header, grid, markers, stretch)

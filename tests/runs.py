@@ -10,7 +10,8 @@ from petscib.output import tables
 from petscib.simulation import Simulation
 
 comm = MPI.COMM_WORLD
-SMALL = {"stag_grid_x": "24", "axes": "0.25,0.4", "monitor": "none", "plot": "no"}
+SMALL = {"stag_grid_x": "24", "ts_dt": "0.08333333333333333", "axes": "0.25,0.4",
+         "monitor": "none", "plot": "no"}
 
 
 def prepare(folder, **words):

@@ -3,6 +3,7 @@
 import json
 import os
 import platform
+import resource
 import shutil
 import sys
 from contextlib import suppress
@@ -148,9 +149,8 @@ class Results:
         self.monitor.update(row)
 
     def write_fields(self, state):
-        """Write a frame for ParaView when it is due.  Raises OutputError on all ranks."""
-        if self.series is not None and state.step % self.settings.xdmf_every == 0:
-            self.series.write(state)
+        """Write a frame for ParaView.  Raises OutputError on all ranks."""
+        self.series.write(state)
 
     def save(self, state, progress, name=None):
         """Write a checkpoint, keeping the last few of those without a `name` of their own.
@@ -202,6 +202,7 @@ class Results:
             "steps": steps,
             "total_seconds": seconds,
             "phase_seconds": dict(phases),
+            "peak_memory_bytes": peak_memory(self.comm),
             "last_row": self.last_row,
         }
         text = json.dumps(summary, indent=2) + "\n"
@@ -228,6 +229,12 @@ class Results:
             if table is not None:
                 with suppress(OSError):  # a row that could not be written has been reported
                     table.close()
+
+
+def peak_memory(comm):
+    """Most memory (bytes) that the ranks together have held so far.  Collective."""
+    unit = 1 if sys.platform == "darwin" else 1024
+    return unit * comm.allreduce(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 
 
 def _later(folder, step):

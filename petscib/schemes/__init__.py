@@ -30,7 +30,10 @@ class Controls:
 
 
 def _geometric(problem, theta, controls):
-    if problem.membrane is None:  # then there is no tangent to average
+    membrane = problem.membrane
+    # Without tension there is no tangent to average, and only Crank-Nicolson iterates on where
+    # the markers are.
+    if membrane is None or (theta == BACKWARD_EULER and not membrane.sigma0):
         return Coupled(problem, theta)
     return Geometric(problem, theta, controls)
 
@@ -44,13 +47,9 @@ SCHEMES = {
     "gbe": lambda problem, controls=Controls(): _geometric(problem, BACKWARD_EULER, controls),
     "gcn": lambda problem, controls=Controls(): _geometric(problem, CRANK_NICOLSON, controls),
 }
-SIBLINGS = {"mcn": "mbe", "cn": "be", "gcn": "gbe"}
 
 
 def create(name, problem, controls=Controls()):
     """The scheme of this name for a problem.  Collective."""
     scheme = SCHEMES[name](problem, controls)
-    if not controls.startup:
-        return scheme
-    sibling = SCHEMES[SIBLINGS.get(name, name)](problem, controls)
-    return Startup(scheme, sibling, controls.startup)
+    return Startup(scheme, controls.startup) if controls.startup else scheme

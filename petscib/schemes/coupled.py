@@ -1,6 +1,6 @@
 """The original schemes: velocity, pressure and stretching of the new time solved together."""
 
-from ..membrane import geometry
+from ..events import phase
 from ..problem import State, Step
 from ..solvers.saddle import CoupledSolver
 
@@ -35,25 +35,27 @@ class Coupled:
         # rho (w - u^n) / (theta dt) + grad p = mu Laplacian w + F[force^n - theta dt W J w]
         # div w = 0
         problem.fluid_rhs(state.velocity, interval, self._rhs)
-        if membrane:
-            tangent = geometry.unit_tangent(state.markers, membrane.ds)
+        if problem.acted_on:
+            tangent = membrane.tangent(state.markers)
             self.coupled.update(interval, interpolation, membrane.stiffness(tangent))
-            force = membrane.force(state.markers, state.stretch, tangent)
-            interpolation.spread_add(force, self._rhs)
+            problem.add_force(state, tangent, interpolation, self._rhs)
         else:
+            tangent = None
             self.coupled.update(interval)
         stage, pressure = problem.first_guess(state), state.pressure.copy()
-        iterations = self.coupled.solve(self._rhs, stage, pressure)
+        with phase("coupled solve"):
+            iterations = self.coupled.solve(self._rhs, stage, pressure)
 
         # u^{n+1} = u^n + (w - u^n) / theta,  X^{n+1} = X^n + dt J w
         velocity = stage.copy()
         velocity.axpby(1 - 1 / theta, 1 / theta, state.velocity)
         markers, stretch, stage_velocity, rate = state.markers, state.stretch, None, None
         if membrane:
-            stage_velocity = interpolation.interpolate(stage)
-            rate = geometry.surface_divergence(stage_velocity, tangent, membrane.ds)
-            markers = state.markers + dt * stage_velocity
-            stretch = problem.next_stretch(state.stretch, rate, dt, markers)
+            with phase("marker motion"):
+                stage_velocity = interpolation.interpolate(stage)
+                rate = membrane.stretch_rate(stage_velocity, tangent)
+                markers = state.markers + dt * stage_velocity
+                stretch = problem.next_stretch(state.stretch, rate, dt, markers)
             interpolation.destroy()
         history = problem.next_history(state, stage)
         end = State(

@@ -1,6 +1,6 @@
 """The explicit scheme: membrane force at the old time, implicit viscosity, projection."""
 
-from ..membrane import geometry
+from ..events import phase
 from ..problem import State, Step
 from ..solvers.momentum import MomentumSolver
 from .projection import Projection
@@ -16,14 +16,14 @@ class Explicit:
 
     theta = 1.0
     advice = (
-        "the explicit scheme needs a time step that falls as 1 / sqrt(sigma0): try a smaller -ts_dt or "
-        "an implicit scheme such as -scheme mbe"
+        "the explicit scheme needs a time step that falls as 1 / sqrt(sigma0): try a smaller "
+        "-ts_dt or an implicit scheme such as -scheme mbe"
     )
 
     def __init__(self, problem):
         self.problem = problem
         self.momentum = MomentumSolver(problem.operators, problem.rho, problem.mu)
-        self.projection = Projection(problem, self.theta)
+        self.projection = Projection(problem)
         self._rhs = problem.grid.velocity_vector()
 
     def step(self, state, dt):
@@ -34,23 +34,27 @@ class Explicit:
         # rho (u* - u^n) / dt = mu Laplacian u* + F[force(X^n)]
         self.momentum.update(dt)
         problem.fluid_rhs(state.velocity, dt, self._rhs)
-        if membrane:
-            tangent = geometry.unit_tangent(state.markers, membrane.ds)
-            force = membrane.force(state.markers, state.stretch, tangent)
-            interpolation.spread_add(force, self._rhs)
+        tangent = None
+        if problem.acted_on:
+            tangent = membrane.tangent(state.markers)
+            problem.add_force(state, tangent, interpolation, self._rhs)
         intermediate = problem.first_guess(state)
-        momentum_iterations = self.momentum.solve(self._rhs, intermediate)
+        with phase("momentum solve"):
+            momentum_iterations = self.momentum.solve(self._rhs, intermediate)
 
         velocity = intermediate.copy()
-        pressure, phi, poisson_iterations = self.projection.apply(velocity, dt, state.pressure)
+        pressure, phi, poisson_iterations = self.projection.apply(
+            velocity, dt, self.theta, state.pressure
+        )
 
         # X^{n+1} = X^n + dt J u^{n+1}
         markers, stretch, step_velocity, rate = state.markers, state.stretch, None, None
         if membrane:
-            step_velocity = interpolation.interpolate(velocity)
-            rate = geometry.surface_divergence(step_velocity, tangent, membrane.ds)
-            markers = state.markers + dt * step_velocity
-            stretch = problem.next_stretch(state.stretch, rate, dt, markers)
+            with phase("marker motion"):
+                step_velocity = interpolation.interpolate(velocity)
+                rate = membrane.stretch_rate(step_velocity, tangent)
+                markers = state.markers + dt * step_velocity
+                stretch = problem.next_stretch(state.stretch, rate, dt, markers)
             interpolation.destroy()
         history = problem.next_history(state, intermediate)
         end = State(

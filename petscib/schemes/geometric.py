@@ -3,6 +3,7 @@
 import numpy as np
 
 from ..errors import SolveError
+from ..events import phase
 from ..membrane import geometry
 from ..problem import State, Step
 from ..solvers.anderson import Anderson
@@ -33,17 +34,15 @@ class Geometric:
     controls : Controls
         picard_rtol: largest change of the positions in the last pass, relative to the largest
         displacement of the step; picard_max_it.
-    solver : CoupledSolver, optional
-        Shared with another scheme.
     """
 
     advice = "try a smaller -ts_dt"
 
-    def __init__(self, problem, theta, controls, solver=None):
+    def __init__(self, problem, theta, controls):
         self.problem = problem
         self.theta = theta
         self.controls = controls
-        self.coupled = solver or CoupledSolver(problem.operators, problem.rho, problem.mu)
+        self.coupled = CoupledSolver(problem.operators, problem.rho, problem.mu)
         self._rhs = problem.grid.velocity_vector()
 
     def step(self, state, dt):
@@ -61,24 +60,29 @@ class Geometric:
                     f"the averaged tangent did not converge in {passes} passes (the markers "
                     f"still change by {change:.1e} of their displacement)"
                 )
-            if theta < 1:
-                interpolation = self._move(interpolation, (state.markers + guess) / 2)
-            tangent = averaged_tangent(state.markers, guess, membrane.ds)
-            rtol = INNER_FRACTION * change
-            iterations += self._solve(state, dt, interpolation, tangent, stage, pressure, rtol)
+            with phase("tangent iteration"):
+                if theta < 1:
+                    interpolation = self._move(interpolation, (state.markers + guess) / 2)
+                tangent = None
+                if membrane.sigma0:
+                    tangent = averaged_tangent(state.markers, guess, membrane.ds)
+                rtol = INNER_FRACTION * change
+                iterations += self._solve(
+                    state, dt, interpolation, tangent, stage, pressure, rtol
+                )
 
-            # X^{n+1} = X^n + dt J w
-            marker_velocity = interpolation.interpolate(stage)
-            markers = state.markers + dt * marker_velocity
-            change = self._relative_change(guess, markers, state.markers)
-            guess = acceleration.next(guess, markers)
+                # X^{n+1} = X^n + dt J w
+                marker_velocity = interpolation.interpolate(stage)
+                markers = state.markers + dt * marker_velocity
+                change = self._relative_change(guess, markers, state.markers)
+                guess = acceleration.next(guess, markers)
             passes += 1
         interpolation.destroy()
 
         # u^{n+1} = u^n + (w - u^n) / theta
         velocity = stage.copy()
         velocity.axpby(1 - 1 / theta, 1 / theta, state.velocity)
-        rate = geometry.surface_divergence(marker_velocity, tangent, membrane.ds)
+        rate = membrane.stretch_rate(marker_velocity, tangent)
         end = State(
             state.step + 1,
             state.time + dt,
@@ -106,11 +110,14 @@ class Geometric:
         div w = 0.
         """
         problem, interval = self.problem, self.theta * dt
-        self.coupled.update(interval, interpolation, problem.membrane.stiffness(tangent))
         problem.fluid_rhs(state.velocity, interval, self._rhs)
-        force = problem.membrane.force(state.markers, state.stretch, tangent)
-        interpolation.spread_add(force, self._rhs)
-        return self.coupled.solve(self._rhs, stage, pressure, rtol)
+        if problem.acted_on:
+            self.coupled.update(interval, interpolation, problem.membrane.stiffness(tangent))
+            problem.add_force(state, tangent, interpolation, self._rhs)
+        else:
+            self.coupled.update(interval)
+        with phase("coupled solve"):
+            return self.coupled.solve(self._rhs, stage, pressure, rtol)
 
     def _move(self, interpolation, markers):
         if interpolation is not None:

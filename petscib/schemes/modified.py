@@ -1,6 +1,6 @@
 """The modified schemes: stretching advanced by the intermediate velocity, then projection."""
 
-from ..membrane import geometry
+from ..events import phase
 from ..problem import State, Step
 from ..solvers.momentum import MomentumSolver
 from .projection import Projection
@@ -25,7 +25,7 @@ class Modified:
         self.problem = problem
         self.theta = theta
         self.momentum = MomentumSolver(problem.operators, problem.rho, problem.mu)
-        self.projection = Projection(problem, theta)
+        self.projection = Projection(problem)
         self._rhs = problem.grid.velocity_vector()
 
     def step(self, state, dt):
@@ -36,31 +36,35 @@ class Modified:
 
         # rho (w - u^n) / (theta dt) = mu Laplacian w + F[force^n - theta dt W J w]
         problem.fluid_rhs(state.velocity, interval, self._rhs)
-        if membrane:
-            tangent = geometry.unit_tangent(state.markers, membrane.ds)
+        if problem.acted_on:
+            tangent = membrane.tangent(state.markers)
             self.momentum.update(interval, interpolation, membrane.stiffness(tangent))
-            force = membrane.force(state.markers, state.stretch, tangent)
-            interpolation.spread_add(force, self._rhs)
+            problem.add_force(state, tangent, interpolation, self._rhs)
         else:
+            tangent = None
             self.momentum.update(interval)
         stage = problem.first_guess(state)
-        momentum_iterations = self.momentum.solve(self._rhs, stage)
+        with phase("momentum solve"):
+            momentum_iterations = self.momentum.solve(self._rhs, stage)
 
         # u* = u^n + (w - u^n) / theta, made divergence-free
         velocity = stage.copy()
         velocity.axpby(1 - 1 / theta, 1 / theta, state.velocity)
-        pressure, phi, poisson_iterations = self.projection.apply(velocity, dt, state.pressure)
+        pressure, phi, poisson_iterations = self.projection.apply(
+            velocity, dt, theta, state.pressure
+        )
 
         # X^{n+1} = X^n + dt J (theta u^{n+1} + (1 - theta) u^n)
         markers, stretch, stage_velocity, rate = state.markers, state.stretch, None, None
         if membrane:
-            stage_velocity = interpolation.interpolate(stage)
-            rate = geometry.surface_divergence(stage_velocity, tangent, membrane.ds)
-            step_velocity = theta * interpolation.interpolate(velocity)
-            if theta < 1:
-                step_velocity += (1 - theta) * interpolation.interpolate(state.velocity)
-            markers = state.markers + dt * step_velocity
-            stretch = problem.next_stretch(state.stretch, rate, dt, markers)
+            with phase("marker motion"):
+                stage_velocity = interpolation.interpolate(stage)
+                rate = membrane.stretch_rate(stage_velocity, tangent)
+                step_velocity = theta * interpolation.interpolate(velocity)
+                if theta < 1:
+                    step_velocity += (1 - theta) * interpolation.interpolate(state.velocity)
+                markers = state.markers + dt * step_velocity
+                stretch = problem.next_stretch(state.stretch, rate, dt, markers)
             interpolation.destroy()
         history = problem.next_history(state, stage)
         end = State(

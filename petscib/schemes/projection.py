@@ -1,5 +1,6 @@
 """The projection of an intermediate velocity onto divergence-free fields."""
 
+from ..events import phase
 from ..solvers.poisson import PoissonSolver
 
 
@@ -9,18 +10,15 @@ class Projection:
     Parameters
     ----------
     problem : Problem
-    theta : float
-        1 for backward Euler, 1/2 for Crank-Nicolson: where the pressure stands.
     """
 
-    def __init__(self, problem, theta):
+    def __init__(self, problem):
         self.problem = problem
-        self.theta = theta
         self.poisson = PoissonSolver(problem.operators)
         self._divergence = problem.grid.pressure_vector()
         self._gradient = problem.grid.velocity_vector()
 
-    def apply(self, velocity, dt, last_pressure):
+    def apply(self, velocity, dt, theta, last_pressure):
         """Turn u* into u in place.  Collective.
 
         Parameters
@@ -28,6 +26,8 @@ class Projection:
         velocity : PETSc.Vec
             u* on entry, u on return.
         dt : float
+        theta : float
+            1 for backward Euler, 1/2 for Crank-Nicolson: where the pressure stands.
         last_pressure : PETSc.Vec
             For the first guess.
 
@@ -43,13 +43,14 @@ class Projection:
         divergence.scale(1 / dt)
         phi = last_pressure.copy()
         phi.scale(1 / rho)
-        iterations = self.poisson.solve(divergence, phi)
+        with phase("Poisson solve"):
+            iterations = self.poisson.solve(divergence, phi)
 
         operators.gradient.mult(phi, gradient)
         velocity.axpy(-dt, gradient)
         pressure = phi.copy()
         pressure.scale(rho)
-        pressure.axpy(-self.theta * mu * dt, divergence)
+        pressure.axpy(-theta * mu * dt, divergence)
         return pressure, phi, iterations
 
     def destroy(self):

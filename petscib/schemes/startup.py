@@ -1,25 +1,28 @@
 """A damped start: backward Euler half steps before a scheme that does not damp."""
 
+from copy import copy
+
 from ..problem import Step
 
 
 class Startup:
-    """Replaces each of the first steps by two half steps of the backward Euler sibling.
+    """Replaces each of the first steps by two half steps of backward Euler.
 
     The initial flow need not fit the stiff membrane; Crank-Nicolson would carry the misfit along
-    as an oscillation.  The half steps have the same theta dt, hence the same fluid matrix.
+    as an oscillation.  The half steps have the same theta dt, hence the same solvers.
 
     Parameters
     ----------
-    scheme, sibling
-        The scheme, and backward Euler in its place at the start.
+    scheme
+        One with a `theta`.
     count : int
         Number of steps replaced.
     """
 
-    def __init__(self, scheme, sibling, count):
+    def __init__(self, scheme, count):
         self.scheme = scheme
-        self.sibling = sibling
+        self.damped = copy(scheme)
+        self.damped.theta = 1.0
         self.count = count
         self.advice = scheme.advice
 
@@ -27,8 +30,8 @@ class Startup:
         """Take one step from `state`.  Collective.  Returns a Step."""
         if state.step >= self.count:
             return self.scheme.step(state, dt)
-        first = self.sibling.step(state, dt / 2)
-        second = self.sibling.step(first.end, dt / 2)
+        first = self.damped.step(state, dt / 2)
+        second = self.damped.step(first.end, dt / 2)
         second.end.step = state.step + 1
         iterations = {
             name: count + second.iterations[name] for name, count in first.iterations.items()
@@ -49,4 +52,3 @@ class Startup:
     def destroy(self):
         """Free the solvers."""
         self.scheme.destroy()
-        self.sibling.destroy()

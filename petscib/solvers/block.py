@@ -1,20 +1,36 @@
-"""The tube's block of the momentum matrix, and its direct solution in velocities."""
+"""The tube's block of an implicit system, solved with the membrane's force as an unknown.
+
+With the stiffness W = C^T C and B = (theta dt ds / (dx dy))^{1/2} C J, the momentum matrix is
+A = A0 + B^T B.  Instead of A w = r the factorisation solves
+
+    [ -1   B  ] [ f ]   [ g ]
+    [ B^T  A0 ] [ w ] = [ r ],    with g = 0: f = B w.
+
+This has few entries, where B^T B joins every face to all others that its markers see; and the
+stiffness no longer magnifies round-off, because it is not added to A0.  The matrix is
+quasidefinite: in any order its pivots keep their signs, so that L D L^T exists without pivoting.
+"""
 
 import numpy as np
+from numpy.linalg import norm
 from petsc4py import PETSc
 
 from .cholesky import Cholesky
 
-TARGET = 1e-13  # relative error to which solves with the block are refined
-MOST_REFINEMENTS = 5
+MOST_REFINEMENTS = 4
+SMALL_CHANGE = 1e-7  # in a refinement; its square is beyond round-off
+
+
+def upper_part(matrix):
+    """Entries (row, column, value) on and above the diagonal of a sequential matrix."""
+    starts, columns, values = matrix.getValuesCSR()
+    rows = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
+    upper = columns >= rows
+    return rows[upper], columns[upper], values[upper]
 
 
 class TubeBlock:
-    """A_tt = A0_tt + scale J_t^T W J_t, among the faces of a tube, on rank 0.
-
-    As sigma0 dt grows, round-off in a factorisation of A_tt reaches every velocity, soft motions
-    included.  Residuals from this product form do not spread so: what W magnifies stays a
-    tension along the membrane.  Iterative refinement with them restores full accuracy.
+    """A0 and B among the faces of a tube, on rank 0.
 
     Parameters
     ----------
@@ -26,76 +42,165 @@ class TubeBlock:
     def __init__(self, tube, fluid):
         self.size = len(tube.faces)
         self.fluid = fluid
-        self.interpolation = tube.interpolation() if self.size else None
-        self.stiffness, self.scale = None, 0.0
+        self.root = None  # (theta dt ds / (dx dy))^{1/2} C
+        if self.size:
+            self.interpolation = tube.interpolation()
+            self._face, self._marker = self.interpolation.createVecs()
+            self._fluid_force = self._face.duplicate()
 
     def set(self, stiffness, scale):
         """Take a membrane stiffness W and the factor of J^T W J."""
-        self.stiffness, self.scale = stiffness, scale
+        if self.size:
+            self.root = stiffness.root()
+            self.root.scale(np.sqrt(scale))
+            self._force = self.root.createVecLeft()
 
-    def multiply(self, velocity):
-        """A_tt times an array over the faces."""
-        w, result = self.fluid.createVecs()
-        w.getArray()[:] = velocity
-        self.fluid.mult(w, result)
-        seen = self.interpolation.createVecLeft()
-        self.interpolation.mult(w, seen)
-        force = self.stiffness.apply(seen.getArray(readonly=True).reshape(-1, 2))
-        seen.getArray()[:] = self.scale * force.ravel()
-        self.interpolation.multTransposeAdd(seen, result, result)
-        return result.getArray(readonly=True)
+    def forces_of(self, velocity):
+        """B w for an array w over the faces."""
+        if not self.size:
+            return np.empty(0)
+        self._face.getArray()[:] = velocity
+        self.interpolation.mult(self._face, self._marker)
+        self.root.mult(self._marker, self._force)
+        return self._force.getArray(readonly=True).copy()
 
-    def refinements(self):
-        """How many refinements bring round-off in a factorisation down to the target."""
-        fluid = self.fluid.getDiagonal().getArray(readonly=True).max()
-        membrane = self.stiffness.membrane
-        stiff = self.scale * (
-            4 * membrane.sigma0 / membrane.ds**2 + 16 * membrane.bending / membrane.ds**4
-        )
-        error = np.finfo(float).eps * (1 + stiff / fluid)
-        if error >= 0.1:
-            return MOST_REFINEMENTS
-        return min(max(int(np.ceil(np.log(TARGET) / np.log(error))) - 1, 0), MOST_REFINEMENTS)
+    def spread(self, force):
+        """B^T f as an array over the faces."""
+        if not self.size:
+            return np.empty(0)
+        self._force.getArray()[:] = force
+        self.root.multTranspose(self._force, self._marker)
+        self.interpolation.multTranspose(self._marker, self._face)
+        return self._face.getArray(readonly=True).copy()
 
-    def refine(self, solve, rhs):
-        """Answer of the approximate solver `solve` to `rhs`, refined."""
-        answer = solve(rhs)
-        for _ in range(self.refinements()):
-            answer += solve(rhs - self.multiply(answer))
-        return answer
+    def multiply(self, velocity, force):
+        """A0 w + B^T f for arrays w over the faces and f."""
+        spread = self.spread(force)
+        self._face.getArray()[:] = velocity
+        self.fluid.mult(self._face, self._fluid_force)
+        return self._fluid_force.getArray(readonly=True) + spread
 
 
-class TubeVelocity:
-    """Direct solver of A_tt w = r on rank 0.
+class ForceSystem:
+    """Direct solver of the system above, for any symmetric matrix in place of A0.
+
+    Lives on one rank; not collective.
 
     Parameters
     ----------
     prefix : str
-        Options prefix of the Cholesky factorisation.
+        Options prefix of the factorisation.
     """
 
     def __init__(self, prefix):
         self.cholesky = Cholesky(prefix)
+        self._matrix = None
+
+    def set_fluid(self, matrix):
+        """Take the matrix in place of A0."""
+        self._release()
+        rows, columns, self._fluid_values = upper_part(matrix)
+        self._fluid_columns = columns
+        self._fluid_widths = np.bincount(rows, minlength=matrix.getSize()[0])
+
+    def factor(self, forces):
+        """Factor with B = `forces`; only in value if B changed only in value."""
+        starts, columns, values = forces.getValuesCSR()
+        self.count = count = len(starts) - 1
+        columns = np.insert(columns + count, starts[:-1], np.arange(count))
+        values = np.insert(values, starts[:-1], -1.0)
+        widths = np.concatenate((np.diff(starts) + 1, self._fluid_widths))
+        matrix = PETSc.Mat().createSBAIJ(
+            len(widths),
+            1,
+            csr=(
+                np.concatenate(([0], np.cumsum(widths))).astype(PETSc.IntType),
+                np.concatenate((columns, self._fluid_columns + count)).astype(PETSc.IntType),
+                np.concatenate((values, self._fluid_values)),
+            ),
+            comm=PETSc.COMM_SELF,
+        )
+        if self._matrix is None:
+            self._matrix = matrix
+            self._answer, self._residual = matrix.createVecs()
+        else:
+            matrix.copy(self._matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+            matrix.destroy()
+        self.cholesky.factor(self._matrix)
+
+    def solve(self, force, rest):
+        """The pair f, w for right-hand sides g, r, to full accuracy.  New arrays.
+
+        Iterative refinement removes round-off of the factorisation along soft motions, which
+        bending and tension hardly resist.  Each step repeats the relative change of the last.
+        """
+        rhs = np.concatenate((force, rest))
+        answer = self.cholesky.solve(rhs)
+        for _ in range(MOST_REFINEMENTS):
+            self._answer.getArray()[:] = answer
+            self._matrix.mult(self._answer, self._residual)
+            change = self.cholesky.solve(rhs - self._residual.getArray(readonly=True))
+            answer += change
+            velocity = answer[self.count :]
+            if norm(change[self.count :]) <= SMALL_CHANGE * norm(velocity):
+                break
+        return answer[: self.count], velocity
+
+    def force(self, force, rest):
+        """f alone, for right-hand sides g, r, without refinement."""
+        return self.cholesky.solve(np.concatenate((force, rest)))[: self.count]
+
+    def _release(self):
+        if self._matrix is not None:
+            self._matrix.destroy()
+            self._matrix = None
+
+    def destroy(self):
+        """Free the factor."""
+        self._release()
+        self.cholesky.destroy()
+
+
+class TubeVelocity:
+    """Direct solver of the tube's block of the momentum system, on rank 0.
+
+    On the other ranks right-hand sides and answers are empty.
+
+    Parameters
+    ----------
+    prefix : str
+        Options prefix of the factorisation.
+    """
+
+    def __init__(self, prefix):
+        self.system = ForceSystem(prefix)
         self.block = None
 
     def factor(self, block):
         """Factor a block whose stiffness has been set."""
         self.block = block
-        if not block.size:
-            return
-        matrix = block.stiffness.matrix().ptap(block.interpolation)
-        matrix.scale(block.scale)
-        # The other way round, the sum would replace the inside of a matrix that PETSc's
-        # routine for submatrices has marked as its own, and destroying it would crash.
-        matrix.axpy(1.0, block.fluid, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-        self.cholesky.factor(matrix)
+        if block.size:
+            self.system.set_fluid(block.fluid)
+            self.system.factor(block.root.matMult(block.interpolation))
 
     def solve(self, rhs):
-        """Answer as a new array; empty where the block is."""
+        """Velocities w with A_tt w = rhs, to full accuracy, as a new array."""
         if not self.block.size:
             return np.empty(0)
-        return self.block.refine(self.cholesky.solve, rhs)
+        return self.system.solve(np.zeros(self.system.count), rhs)[1]
+
+    def force(self, rhs):
+        """Membrane forces f = B A_tt^{-1} rhs as a new array."""
+        if not self.block.size:
+            return np.empty(0)
+        return self.system.force(np.zeros(self.system.count), rhs)
+
+    def precondition(self, velocity):
+        """(1 + B A0_tt^{-1} B^T)^{-1} times the array `velocity`."""
+        if not self.block.size:
+            return np.empty(0)
+        return -self.system.force(velocity, np.zeros(self.block.size))
 
     def destroy(self):
         """Free the factor."""
-        self.cholesky.destroy()
+        self.system.destroy()

@@ -1,9 +1,12 @@
-"""Sparse Cholesky factorisation of a matrix on rank 0."""
+"""Sparse symmetric factorisation of a matrix on rank 0."""
 
 import numpy as np
 from petsc4py import PETSc
 
 from . import krylov
+
+# Stiff membranes make indefinite matrices, for which CHOLMOD has only its LDL^T.
+CHOLMOD_DEFAULTS = {"mat_cholmod_factor": "simplicial"}
 
 
 def direct_solver():
@@ -15,7 +18,7 @@ def direct_solver():
 
 
 class Cholesky:
-    """Direct solver of a sequential symmetric positive definite matrix.
+    """Direct solver of a sequential symmetric matrix, positive definite or quasidefinite.
 
     Not collective.  On ranks where the matrix is empty, so are right-hand sides and answers.
 
@@ -34,6 +37,7 @@ class Cholesky:
                 "ksp_type": "preonly",
                 "pc_type": "cholesky",
                 "pc_factor_mat_solver_type": direct_solver(),
+                **CHOLMOD_DEFAULTS,
             },
         )
 
@@ -47,7 +51,8 @@ class Cholesky:
             self.ksp.setFromOptions()
         elif matrix.getSize()[0] != self._rhs.getSize():
             self.ksp.reset()
-        matrix.setOption(PETSc.Mat.Option.SPD, True)
+        if self.ksp.getPC().getFactorSolverType() == "petsc" and matrix.getType() != "seqaij":
+            matrix = matrix.convert("seqaij", PETSc.Mat())  # for which PETSc has orderings
         self.ksp.setOperators(matrix)
         self.ksp.setUp()
         self._solution, self._rhs = matrix.createVecs()

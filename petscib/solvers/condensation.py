@@ -29,7 +29,7 @@ class Condensation:
     multiply : callable
         Takes vectors x, y and sets y = K0 x, the fluid operator.  Collective.
     vector : PETSc.Vec
-        Any vector of the system's layout.
+        Any vector of the system's layout, kept as long as this.
     tube, shell : ndarray of int
         PETSc numbers, on rank 0 (empty elsewhere), of the tube's unknowns and of those outside
         that K couples to them.
@@ -47,23 +47,24 @@ class Condensation:
     ):
         self.multiply = multiply
         self.count = len(tube)
-        self.couplings = couplings
+        self._couplings = [(matrix, *matrix.createVecs()) for matrix in couplings]
         self.solve_tube = solve_tube
         self.complete_tube = complete_tube or solve_tube
         numbers = np.concatenate((tube, shell)).astype(PETSc.IntType)
         self._local = PETSc.Vec().createSeq(len(numbers), comm=PETSc.COMM_SELF)
         index = PETSc.IS().createGeneral(numbers, comm=PETSc.COMM_SELF)
         self._scatter = PETSc.Scatter().create(vector, index, self._local, None)
-        self._work = vector.duplicate()
-        self._mine = self._find_owned()
+        self._vector = vector
+        self._work = self._mine = None
 
-    def _find_owned(self):
-        """Positions of tube entries in this rank's part of a vector."""
+    def _prepare_products(self):
+        """Find the positions of tube entries in this rank's part of a vector."""
+        self._work = self._vector.duplicate()
         self._work.set(0.0)
         self._local.getArray()[: self.count] = 1.0
         self._local.getArray()[self.count :] = 0.0
         self._return(self._work)
-        return np.flatnonzero(self._work.getArray(readonly=True))
+        self._mine = np.flatnonzero(self._work.getArray(readonly=True))
 
     def _gather(self, vector):
         self._scatter.scatter(vector, self._local, PETSc.InsertMode.INSERT_VALUES)
@@ -78,27 +79,27 @@ class Condensation:
         """K_ts times an array over the shell."""
         result = np.zeros(self.count)
         start = 0
-        for matrix in self.couplings:
-            x, y = matrix.createVecs()
-            stop = start + x.getSize()
-            x.getArray()[:] = values[start:stop]
-            matrix.mult(x, y)
-            result[: y.getSize()] += y.getArray(readonly=True)
+        for matrix, outside, inside in self._couplings:
+            stop = start + outside.getSize()
+            outside.getArray()[:] = values[start:stop]
+            matrix.mult(outside, inside)
+            result[: inside.getSize()] += inside.getArray(readonly=True)
             start = stop
         return result
 
     def _to_shell(self, values):
         """K_st times an array over the tube."""
         parts = [np.empty(0)]
-        for matrix in self.couplings:
-            x, y = matrix.createVecs()
-            y.getArray()[:] = values[: y.getSize()]
-            matrix.multTranspose(y, x)
-            parts.append(x.getArray(readonly=True))
+        for matrix, outside, inside in self._couplings:
+            inside.getArray()[:] = values[: inside.getSize()]
+            matrix.multTranspose(inside, outside)
+            parts.append(outside.getArray(readonly=True))
         return np.concatenate(parts)
 
     def mult(self, x, y):
-        """y = S x, with zeros in the tube."""
+        """y = S x, with zeros in the tube.  Collective."""
+        if self._work is None:
+            self._prepare_products()
         local = self._gather(x)
         with phase("tube solve"):
             local[: self.count] = -self.solve_tube(self._from_shell(local[self.count :]))
@@ -117,16 +118,33 @@ class Condensation:
         rhs.copy(condensed)
         self._return(condensed)
 
+    def tube_rhs(self, rhs, solution):
+        """b_t - K_te x_e as a new array on rank 0.  Collective."""
+        inner = self._gather(rhs)[: self.count].copy()
+        return inner - self._from_shell(self._gather(solution)[self.count :])
+
     def recover(self, rhs, solution):
         """Set the tube's entries of `solution` from the others.  Collective."""
-        inner = self._gather(rhs)[: self.count].copy()
-        local = self._gather(solution)
+        rest = self.tube_rhs(rhs, solution)
         with phase("tube solve"):
-            rest = inner - self._from_shell(local[self.count :])
-            local[: self.count] = self.complete_tube(rest)
+            self._local.getArray()[: self.count] = self.complete_tube(rest)
         self._return(solution)
+
+    def from_tube(self, vector):
+        """Entries of `vector` in the tube as a new array on rank 0.  Collective."""
+        return self._gather(vector)[: self.count].copy()
+
+    def add_in_tube(self, values, vector):
+        """Add an array over the tube to the entries of `vector` there.  Collective."""
+        local = self._local.getArray()
+        local[: self.count] = values
+        local[self.count :] = 0.0
+        self._scatter.scatter(
+            self._local, vector, PETSc.InsertMode.ADD_VALUES, PETSc.ScatterMode.REVERSE
+        )
 
     def destroy(self):
         """Free the scatter and the work vector.  Collective."""
         self._scatter.destroy()
-        self._work.destroy()
+        if self._work is not None:
+            self._work.destroy()

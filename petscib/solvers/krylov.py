@@ -19,13 +19,14 @@ class Operator:
 
     Parameters
     ----------
-    like : PETSc.Mat
-        A matrix of the same layout.
+    vector : PETSc.Vec
+        Any vector of its layout.
     """
 
-    def __init__(self, like):
+    def __init__(self, vector):
         self.action = None
-        self.matrix = PETSc.Mat().createPython(like.getSizes(), _Action(self), comm=like.comm)
+        sizes = (vector.getSizes(),) * 2
+        self.matrix = PETSc.Mat().createPython(sizes, _Action(self), comm=vector.comm)
         self.matrix.setUp()
 
     def act_as(self, action):
@@ -83,6 +84,8 @@ def create(matrix, prefix, defaults, preconditioning_matrix=None):
             raise InputError(f"-{prefix}pc_python_type: {error}") from error
         raise
     ksp.setInitialGuessNonzero(ksp.getType() != "preonly")
+    if ksp.getType() == "cg" and not PETSc.Options(prefix).hasName("ksp_norm_type"):
+        ksp.setNormType(PETSc.KSP.NormType.NATURAL)  # which costs nothing, as r^T B r is known
     return ksp
 
 
@@ -90,6 +93,12 @@ def reason_name(ksp):
     """Name of the reason why a solve failed, such as DIVERGED_MAX_IT."""
     reason = ksp.getConvergedReason()
     return _REASONS.get(reason, f"reason {reason}")
+
+
+def advice(ksp):
+    """What the user can try when it has not converged."""
+    prefix = ksp.getOptionsPrefix()
+    return f"a larger -{prefix}ksp_max_it may help, -{prefix}ksp_monitor shows more"
 
 
 def check(ksp, what, advice):

@@ -10,11 +10,12 @@ from .tube import Tube
 
 DEFAULTS = {
     "ksp_type": "cg",
-    "ksp_rtol": 1e-8,
+    "ksp_rtol": 1e-6,
     "ksp_max_it": 500,
     "pc_type": "gamg",
 }
-ADVICE = "a larger -momentum_ksp_max_it may help, -momentum_ksp_monitor shows more"
+# The dearer an iteration, the more it pays to enlarge the tube.
+LAYERS, LAYERS_IF_EXACT = 3, 1
 
 
 class FluidMatrix:
@@ -112,7 +113,8 @@ class MomentumSolver:
     """Conjugate gradients for (A0 + theta dt F W J) u = b.  Collective.
 
     The tube around the membrane is condensed; the preconditioner, GAMG unless options say
-    otherwise, is set up for A0 alone and kept while theta dt stays.  -<prefix>condense false
+    otherwise, is set up for A0 alone and kept while theta dt stays.  When it inverts A0 exactly,
+    the iteration is for the membrane's force instead (see `force`).  -<prefix>condense false
     keeps the whole matrix, preconditioned as assembled: for comparison.
 
     Parameters
@@ -129,13 +131,25 @@ class MomentumSolver:
         self.grid = operators.grid
         self.fluid = FluidMatrix(operators, rho, mu)
         self.condense = PETSc.Options(prefix).getBool("condense", True)
-        self.direct = TubeVelocity(prefix + "tube_")
+        self.prefix, self.defaults = prefix, defaults
         self.ksp = krylov.create(self.fluid.matrix, prefix, defaults)
         # Multigrid would otherwise smooth with the operator, at a tube solve a sweep.
         self.ksp.getPC().setUseAmat(False)
-        self.condensation = None
-        self._operator = krylov.Operator(self.fluid.matrix)
+        self.condensation = self.force_solver = self.direct = self._operator = self._rhs = None
+
+    def _prepare_for_membrane(self):
         self._rhs = self.fluid.matrix.createVecLeft()
+        self._operator = krylov.Operator(self._rhs)
+        if self.condense:
+            self.direct = TubeVelocity(self.prefix + "tube_")
+            if self._inverts_exactly():
+                from .force import ForceSolver  # needs scipy
+
+                self.force_solver = ForceSolver(self.grid, self.fluid, self.ksp, self.defaults)
+
+    def _inverts_exactly(self):
+        pc = self.ksp.getPC()
+        return pc.getType() == "python" and getattr(pc.getPythonContext(), "exact", False)
 
     def update(self, interval, interpolation=None, stiffness=None):
         """Set the system for theta dt = `interval` and the membrane's present configuration."""
@@ -144,39 +158,51 @@ class MomentumSolver:
         if interpolation is None:
             self.ksp.setOperators(self.fluid.matrix)
             return
+        if self._operator is None:
+            self._prepare_for_membrane()
         force = ImplicitForce(interpolation, stiffness, interval)
         if self.condense:
             with phase("tube set-up"):
                 self.condensation = self._condense(force)
-            self._operator.act_as(self.condensation)
-            self.ksp.setOperators(self._operator.matrix, self.fluid.matrix)
+            if self.force_solver:
+                self.ksp.setOperators(self.fluid.matrix)
+            else:
+                self._operator.act_as(self.condensation)
+                self.ksp.setOperators(self._operator.matrix, self.fluid.matrix)
         else:
-            whole = force.assemble()
-            whole.axpy(1.0, self.fluid.matrix, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+            with phase("momentum assembly"):
+                whole = force.assemble()
+                whole.axpy(1.0, self.fluid.matrix, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
             self._operator.act_as(WholeOperator(self.fluid, force))
             self.ksp.setOperators(self._operator.matrix, whole)
             whole.destroy()
 
     def _condense(self, force):
         fluid = self.fluid.matrix
-        tube = Tube(self.grid, force.interpolation.stencil)
+        layers = LAYERS_IF_EXACT if self.force_solver else LAYERS
+        tube = Tube(self.grid, force.interpolation.stencil, layers)
         matrix, coupling = tube_blocks(fluid, tube)
         block = TubeBlock(tube, matrix)
         block.set(force.stiffness, force.scale)
         self.direct.factor(block)
-        return Condensation(
+        condensation = Condensation(
             fluid.mult, self._rhs, tube.faces, tube.shell_faces, [coupling], self.direct.solve
         )
+        if self.force_solver:
+            self.force_solver.update(tube, self.direct, condensation)
+        return condensation
 
     def solve(self, rhs, velocity):
         """Solve for `velocity` (first guess on entry).  Returns the iterations."""
         if self.condensation is None:
             self.ksp.solve(rhs, velocity)
+        elif self.force_solver:
+            return self.force_solver.solve(rhs, velocity)
         else:
             self.condensation.condense(rhs, self._rhs)
             self.ksp.solve(self._rhs, velocity)
             self.condensation.recover(rhs, velocity)
-        krylov.check(self.ksp, "momentum", ADVICE)
+        krylov.check(self.ksp, "momentum", krylov.advice(self.ksp))
         return self.ksp.getIterationNumber()
 
     def _release(self):
@@ -184,12 +210,20 @@ class MomentumSolver:
         if self.condensation is not None:
             self.condensation.destroy()
             self.condensation = None
+            if self.force_solver:
+                self.force_solver.release()
 
     def destroy(self):
         """Free the solver.  Collective."""
         self._release()
-        self.direct.destroy()
-        self.ksp.destroy()
-        self._operator.destroy()
-        self.fluid.matrix.destroy()
-        self._rhs.destroy()
+        parts = (
+            self.force_solver,
+            self.direct,
+            self.ksp,
+            self._operator,
+            self.fluid.matrix,
+            self._rhs,
+        )
+        for part in parts:
+            if part is not None:
+                part.destroy()

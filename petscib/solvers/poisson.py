@@ -45,7 +45,8 @@ class PoissonSolver:
         source.copy(self._rhs)
         self._rhs.scale(-1)  # the assembled matrix is minus the Laplacian
         self.null_space.remove(self._rhs)
-        self._drop_bad_guess(solution)
+        if self.ksp.getInitialGuessNonzero():
+            self._drop_bad_guess(solution)
         self.ksp.solve(self._rhs, solution)
         krylov.check(
             self.ksp, "pressure Poisson", "try -poisson_ksp_max_it, -poisson_pc_type or -fft"

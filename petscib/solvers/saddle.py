@@ -14,13 +14,12 @@ from .tube import Tube
 
 DEFAULTS = {
     "ksp_type": "fgmres",
-    "ksp_rtol": 1e-8,
+    "ksp_rtol": 1e-6,
     "ksp_max_it": 200,
     "pc_type": "python",
 }
 INNER_VELOCITY = {"ksp_type": "preonly", "pc_type": "gamg"}
 INNER_POISSON = {"ksp_type": "preonly", "pc_type": "gamg", "mg_coarse_sub_pc_type": "svd"}
-ADVICE = "a larger -coupled_ksp_max_it may help, -coupled_ksp_monitor shows more"
 
 
 class PairLayout:
@@ -191,15 +190,13 @@ class CoupledSolver:
         self.fluid = velocity.fluid
         self.pair = FluidPair(operators, self.fluid, self.layout)
         vector = self.layout.vector
-        like = PETSc.Mat().createPython((vector.getSizes(),) * 2, comm=operators.grid.comm)
-        self._operator = krylov.Operator(like)
-        like.destroy()
+        self._operator = krylov.Operator(vector)
         self.ksp = krylov.create(self._operator.matrix, prefix, DEFAULTS)
         pc = self.ksp.getPC()
         if pc.getType() == "python" and pc.getPythonContext() is None:
             pc.setPythonContext(ProjectionPC(self.pair, velocity, poisson))
-        self.condensation = self._interpolation = self._tube = None
-        self._rhs, self._condensed, self._solution = (vector.duplicate() for _ in range(3))
+        self.condensation = self._interpolation = self._tube = self._condensed = None
+        self._rhs, self._solution = vector.duplicate(), vector.duplicate()
 
     def update(self, interval, interpolation=None, stiffness=None):
         """Set the system for theta dt = `interval` and the membrane's present configuration.
@@ -221,6 +218,8 @@ class CoupledSolver:
 
     def _condense(self, interpolation):
         grid, scale = self.operators.grid, self.pair.scale
+        if self._condensed is None:
+            self._condensed = self._rhs.duplicate()
         tube = Tube(grid, interpolation.stencil)
         block, to_faces = tube_blocks(self.fluid.matrix, tube)
         faces, cells, shell = (
@@ -283,7 +282,7 @@ class CoupledSolver:
             self.ksp.solve(self._condensed, self._solution)
             self.condensation.recover(self._rhs, self._solution)
         self.ksp.setTolerances(rtol=usual)
-        krylov.check(self.ksp, "coupled", ADVICE)
+        krylov.check(self.ksp, "coupled", krylov.advice(self.ksp))
         layout.split(self._solution, velocity, pressure)
         pressure.scale(scale)
         pressure.shift(-pressure.sum() / pressure.getSize())
@@ -304,4 +303,5 @@ class CoupledSolver:
         self.pair.destroy()
         self.layout.destroy()
         for vector in (self._rhs, self._condensed, self._solution):
-            vector.destroy()
+            if vector is not None:
+                vector.destroy()

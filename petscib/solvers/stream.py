@@ -15,6 +15,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from ..fluid.operators import assemble
+from .block import ForceSystem
 from .cholesky import Cholesky
 
 
@@ -109,13 +110,13 @@ class TubeStream:
     def __init__(self, tube, block, gradient, prefix):
         self.block, self.gradient = block, gradient
         self.count = len(tube.faces) + len(tube.cells)
-        self.velocity = Cholesky(prefix)
+        self.velocity = ForceSystem(prefix)
         self.pressure = Cholesky(prefix)
-        self._product = self._matrix = None
+        self._forces = None
         if not block.size:
             return
         self.basis = divergence_free_basis(tube)
-        self._projected_fluid = block.fluid.ptap(self.basis)
+        self.velocity.set_fluid(block.fluid.ptap(self.basis))
         self._projected_interpolation = block.interpolation.matMult(self.basis)
         self.pressure.factor(gradient.transposeMatMult(gradient))
         self._psi, self._w = self.basis.createVecs()
@@ -125,25 +126,10 @@ class TubeStream:
         self.block.set(stiffness, scale)
         if not self.block.size:
             return
-        force = stiffness.matrix()
-        self._product = force.ptap(self._projected_interpolation, result=self._product)
-        if self._matrix is None:
-            self._matrix = self._product.copy()
-            self._matrix.axpy(
-                1.0, self._projected_fluid, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
-            )
-        subset = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
-        self._matrix.zeroEntries()
-        self._matrix.axpy(1.0, self._projected_fluid, subset)
-        self._matrix.axpy(scale, self._product, subset)
-        self.velocity.factor(self._matrix)
-
-    def _solve(self, rhs):
-        self._w.getArray()[:] = rhs
-        self.basis.multTranspose(self._w, self._psi)
-        self._psi.getArray()[:] = self.velocity.solve(self._psi.getArray(readonly=True))
-        self.basis.mult(self._psi, self._w)
-        return self._w.getArray(readonly=True).copy()
+        self._forces = self.block.root.matMult(
+            self._projected_interpolation, result=self._forces
+        )
+        self.velocity.factor(self._forces)
 
     def solve(self, rhs):
         """Velocities for the array r on the faces, zeros in place of pressures.
@@ -153,15 +139,26 @@ class TubeStream:
         answer = np.zeros(self.count)
         faces = self.block.size
         if faces:
-            answer[:faces] = self.block.refine(self._solve, rhs[:faces])
+            answer[:faces] = self._solve(rhs[:faces])[1]
         return answer
+
+    def _solve(self, rhs):
+        """Membrane forces f = B w and velocities w."""
+        self._w.getArray()[:] = rhs
+        self.basis.multTranspose(self._w, self._psi)
+        no_force = np.zeros(self.velocity.count)
+        force, psi = self.velocity.solve(no_force, self._psi.getArray(readonly=True))
+        self._psi.getArray()[:] = psi
+        self.basis.mult(self._psi, self._w)
+        return force, self._w.getArray(readonly=True).copy()
 
     def solve_with_pressure(self, rhs):
         """Velocities and pressures for the array r on the faces."""
-        answer = self.solve(rhs)
+        answer = np.zeros(self.count)
         faces = self.block.size
         if faces:
-            self._w.getArray()[:] = rhs[:faces] - self.block.multiply(answer[:faces])
+            force, answer[:faces] = self._solve(rhs[:faces])
+            self._w.getArray()[:] = rhs[:faces] - self.block.multiply(answer[:faces], force)
             slope = self.gradient.createVecRight()
             self.gradient.multTranspose(self._w, slope)
             answer[faces:] = self.pressure.solve(slope.getArray(readonly=True))

@@ -51,6 +51,11 @@ class Basis(NamedTuple):
         k = self.lowest + np.arange(cells - self.given)
         return (2 / spacing * np.sin(k * np.pi / (2 * cells))) ** 2
 
+    @property
+    def first(self):
+        """Distance of the first unknown point from its side, in cells."""
+        return (1 + self.given) / 2
+
 
 WALL_AT_POINT = Basis(partial(fft.dst, type=1), partial(fft.idst, type=1), lowest=1, given=1)
 WALL_BETWEEN = Basis(partial(fft.dst, type=2), partial(fft.idst, type=2), lowest=1, given=0)
@@ -99,8 +104,10 @@ class Slabs:
     vector : PETSc.Vec
     boxes : list of (slice, slice)
         Rows and columns of each field that this rank has.
+    values : ndarray
+        This rank's part of the vector; between the fields' lines it has unused places.
     arrays : list of ndarray
-        Views of their values in the vector.
+        Views of each field's values there.
     numbers : list of ndarray
         Position in the vector of each point of each field in natural order.
     """
@@ -124,12 +131,17 @@ class Slabs:
                 end += rows * pitch
             if rank == comm.rank:
                 self.boxes = boxes
-                values = np.zeros(end - start)
-                self.arrays = [
-                    values[first : first + rows * pitch].reshape(rows, pitch)[:, :columns]
-                    for first, rows, pitch, columns in pieces
-                ]
-        self.vector = PETSc.Vec().createWithArray(values, comm=comm)
+                self._size, self._pieces = end - start, pieces
+        self.values, self.arrays = self.allocate()
+        self.vector = PETSc.Vec().createWithArray(self.values, comm=comm)
+
+    def allocate(self, fill=0.0):
+        """New values of this rank, all the same: as one array, and views of each field's."""
+        values = np.full(self._size, fill)
+        return values, [
+            values[first : first + rows * pitch].reshape(rows, pitch)[:, :columns]
+            for first, rows, pitch, columns in self._pieces
+        ]
 
     def scatter_from(self, vector, numbers):
         """New scatter to here from a vector with these numbers of the same points."""
@@ -143,6 +155,14 @@ class Slabs:
             self.vector,
             PETSc.IS().createGeneral(target, comm=PETSc.COMM_SELF),
         )
+
+
+def transform(functions, axis, slabs):
+    """Transform each field's lines in place."""
+    for function, work in zip(functions, slabs.arrays):
+        if work.size:
+            # scipy may, and does as a rule, leave the answer where it was.
+            work[...] = function(work, axis=axis, overwrite_x=True)
 
 
 class SpectralSolver:
@@ -171,7 +191,7 @@ class SpectralSolver:
         if grid.comm.size > 1:
             self._turned = Slabs(grid.comm, shapes, self._second)
             self._turn = self._turned.scatter_from(self._begin.vector, self._begin.numbers)
-        self._factors = [np.empty_like(work) for work in self._turned.arrays]
+        self._factors = self._turned.allocate()[1]
 
     def set_operator(self, a, b):
         """Set the coefficients.  With a = 0 a constant part of r is left out."""
@@ -198,10 +218,7 @@ class SpectralSolver:
         self._fetch.scatter(begin.vector, target, mode=reverse)
 
     def _transform(self, way, axis, slabs):
-        for field, work in zip(self._fields, slabs.arrays):
-            if work.size:
-                # scipy may, and does as a rule, leave the answer where it was.
-                work[...] = getattr(field.bases[axis], way)(work, axis=axis, overwrite_x=True)
+        transform([getattr(field.bases[axis], way) for field in self._fields], axis, slabs)
 
     def destroy(self):
         """Free vectors and scatters.  Collective."""
@@ -240,11 +257,21 @@ def attribute(matrix, name):
     return value
 
 
+def velocity_fields(grid):
+    """Both components of the velocity."""
+    return [
+        Field(grid.u_index, (WALL_BETWEEN, WALL_AT_POINT)),
+        Field(grid.v_index, (WALL_AT_POINT, WALL_BETWEEN)),
+    ]
+
+
 class FluidTransform:
     """PETSc python PC: the inverse of rho / (theta dt) - mu Laplacian on the velocity layout.
 
     Its matrix must be that of a `FluidMatrix`, which carries the grid and the coefficients.
     """
+
+    exact = True
 
     def __init__(self):
         self._solver = self._coefficients = None
@@ -255,10 +282,7 @@ class FluidTransform:
         coefficients = attribute(matrix, "coefficients")
         if self._solver is None:
             grid = attribute(matrix, "grid")
-            fields = [
-                Field(grid.u_index, (WALL_BETWEEN, WALL_AT_POINT)),
-                Field(grid.v_index, (WALL_AT_POINT, WALL_BETWEEN)),
-            ]
+            fields = velocity_fields(grid)
             vector = grid.velocity_vector()
             self._solver = SpectralSolver(grid, fields, vector)
             walls = np.concatenate([field.given for field in fields])

@@ -116,6 +116,13 @@ class Tube:
             np.tile(((v_rows > 0) & (v_rows < grid.n))[:, None], (1, v_columns)),
         )
 
+    def face_positions(self):
+        """Rows and columns in natural order of the tube's faces: for u and for v."""
+        return [
+            tuple(place + start for place, start in zip(np.nonzero(mask), self.origin))
+            for mask in (self.u, self.v)
+        ]
+
     def face_numbers(self):
         """Numbers of the tube's faces on the window (-1 elsewhere): tables for u and for v."""
         u = np.full(self.u.shape, -1, dtype=PETSc.IntType)

@@ -4,5 +4,6 @@
 maxstep, cputime, tanktreading, workprecision and stability; ``python -m petscib.studies`` for all.
 Every entry is an ordinary petscib run in a process of its own, whose command is recorded in
 ``runs.csv``; a study started again repeats only what is missing.  The studies themselves never
-start MPI, so that they can start jobs that do.
+start MPI, so that they can start jobs that do.  ``python -m petscib.studies.bench`` is the
+benchmark of a step, measured anew each time.
 """

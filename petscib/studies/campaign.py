@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import signal
 import sys
 from time import perf_counter
 
@@ -39,6 +40,8 @@ class Campaign:
             prog=f"python -m petscib.studies.{name}", description=summary, allow_abbrev=False)
         add_options(parser)
         given = parser.parse_args(arguments)
+        # As Ctrl-C does, and unlike the default: the run at work must end too.
+        signal.signal(signal.SIGTERM, lambda kind, frame: sys.exit(128 + kind))
         folder = given.output or os.path.join("out", "studies", name)
         return cls(name, folder, given.quick, given.ranks)
 
@@ -60,9 +63,12 @@ class Campaign:
         -------
         runs.Outcome
         """
-        run = runs.Run(options, self.ranks, time_limit)
+        return self.make(runs.Run(options, self.ranks, time_limit), title, progress)
+
+    def make(self, run, title, progress="", again=False):
+        """The same for a given Run; `again` even when it has been made before."""
         folder = os.path.join(self.output, "runs", run.key)
-        outcome, note = runs.recall(run, folder), "made earlier"
+        outcome, note = None if again else runs.recall(run, folder), "made earlier"
         if outcome is None:
             self._say(f"{progress} {title} ...", end="")
             outcome, note = runs.execute(run, folder), ""

@@ -1,7 +1,8 @@
 """The largest stable time step of each scheme (Hu & Lai, Table 2).
 
 A time step counts as stable when the run finishes with the relative errors of area and perimeter
-within 1 percent at every step.  Implicit schemes run to T = 1 with time steps of at most 64 h.
+within 1 percent: at every step, or, as the paper may have meant it, at the end.  (The perimeter
+error of mbe peaks early and falls again.)  Implicit schemes run to T = 1 with at most dt = 64 h.
 The explicit scheme would need up to millions of steps for that, so it only has to hold for a
 number of steps from rest, which the table names: its limit here is an upper bound of the true one.
 The search takes it that a time step above an unstable one is unstable too.
@@ -34,15 +35,17 @@ PAPER = {
     (512, 1e9): (1.53e-7, 3.91e-3, 3.91e-3),
 }
 PAPER_SCHEMES = "ep", "mbe", "mcn"
-COLUMNS = ("scheme", "sigma0", "cells", "relation", "dt", "dt_over_h", "above_it", "paper_dt")
+COLUMNS = ("scheme", "sigma0", "cells", "criterion", "relation", "dt", "dt_over_h", "above_it",
+           "paper_dt")
 EQUAL, AT_LEAST, BELOW = "=", ">=", "<"
+ALWAYS, AT_END = "at every step", "at the end"
 
 
 def main(arguments=None):
     """Run the study."""
     campaign = Campaign.from_command_line("maxstep", __doc__.splitlines()[0], arguments)
     if campaign.quick:
-        study(campaign, (64,), (1e7, 1e9), explicit_steps=200, octave=2, time_limit=120)
+        study(campaign, (64, 128), (1e7, 1e9), explicit_steps=200, octave=2, time_limit=300)
     else:
         study(campaign, (128, 256, 512), STIFFNESSES, explicit_steps=1000, octave=4,
               time_limit=3600)
@@ -78,17 +81,20 @@ def study(campaign, cells, stiffnesses, explicit_steps, octave, time_limit, sche
         else:
             low, high = smallest * h, min(LARGEST * h, END)
 
-        def judge(dt, number=number, count=count, sigma0=sigma0, scheme=scheme):
+        def make(dt, number=number, count=count, sigma0=sigma0, scheme=scheme):
             end = explicit_steps * dt if scheme == "ep" else END
-            outcome = campaign.run(
+            return campaign.run(
                 f"{scheme} sigma0 {sigma0:g} {count}^2 dt {dt:.3g}",
                 declare(scheme, sigma0, count, dt, end), time_limit, f"{number}/{len(cases)}")
-            return trouble(outcome)
 
-        relation, dt, above = search(judge, low, high, octave)
-        records.append(dict(scheme=scheme, sigma0=sigma0, cells=count, relation=relation, dt=dt,
-                            dt_over_h=dt / h, above_it=above,
-                            paper_dt=paper(scheme, sigma0, count)))
+        # The few steps of ep have no end that would mean anything.
+        for criterion in (ALWAYS,) if scheme == "ep" else (ALWAYS, AT_END):
+            relation, dt, above = search(
+                lambda dt, make=make, criterion=criterion: trouble(make(dt), criterion),
+                low, high, octave)
+            records.append(dict(scheme=scheme, sigma0=sigma0, cells=count, criterion=criterion,
+                                relation=relation, dt=dt, dt_over_h=dt / h, above_it=above,
+                                paper_dt=paper(scheme, sigma0, count)))
     campaign.write(COLUMNS, [[one[name] for name in COLUMNS] for one in records],
                    _markdown(records, explicit_steps, octave))
     _draw(campaign.path("maxstep.png"), records, stiffnesses)
@@ -101,14 +107,15 @@ def declare(scheme, sigma0, cells, dt, end):
                 ts_dt=dt, ts_max_time=end)
 
 
-def trouble(outcome):
+def trouble(outcome, criterion):
     """Why a run does not count as stable; an empty text when it does."""
     if outcome.status == runs.FAILED:
         return f"fails at step {outcome.steps + 1}"
     if not outcome.finished:
         return outcome.status
     for name in ("area", "perimeter"):
-        error = outcome.largest(f"{name}_error")
+        found = outcome.largest if criterion == ALWAYS else outcome.last
+        error = found(f"{name}_error")
         if error > TOLERANCE:
             return f"{name} error {report.number(error, 2)}"
     return ""
@@ -160,12 +167,23 @@ def paper(scheme, sigma0, cells):
 
 
 def _markdown(records, explicit_steps, octave):
+    text = (f"Largest stable time step, to a factor of {2 ** (1 / octave):.2f}: area and perimeter "
+            f"within 1 percent up to T = {END:g} (ep: over {explicit_steps} steps from rest), "
+            f"ellipse (0.1, 0.5), c_b = 0.01, at most {LARGEST:g} h and T. In brackets dt/h, in "
+            "square brackets the paper's dt. `<` means that no step down to this one holds.\n")
+    for criterion in (ALWAYS, AT_END):
+        among = [one for one in records if one["criterion"] == criterion]
+        if among:
+            text += f"\n**Within 1 percent {criterion}**\n\n{_limits(among)}"
+    rows = [[one["criterion"], f"{one['cells']}^2", report.number(one["sigma0"], 1), one["scheme"],
+             one["above_it"]] for one in records if one["above_it"]]
+    return text + "\nWhat goes wrong just above:\n\n" + report.markdown_table(
+        ["criterion", "cells", "sigma0", "scheme", "trouble"], rows)
+
+
+def _limits(records):
     schemes = list(dict.fromkeys(one["scheme"] for one in records))
     entries = {(one["cells"], one["sigma0"], one["scheme"]): one for one in records}
-    text = (f"Largest stable time step, to a factor of {2 ** (1 / octave):.2f} (area and perimeter "
-            f"within 1 percent up to T = {END:g}, ellipse (0.1, 0.5), c_b = 0.01, at most "
-            f"{LARGEST:g} h; ep: over {explicit_steps} steps from rest); in brackets dt/h, in "
-            "square brackets the paper's dt. `<` means that no step down to this one holds.\n")
     rows = []
     for count, sigma0 in dict.fromkeys((one["cells"], one["sigma0"]) for one in records):
         row = [f"{count}^2", report.number(sigma0, 1)]
@@ -177,25 +195,23 @@ def _markdown(records, explicit_steps, octave):
                 entry += f" [{report.number(one['paper_dt'])}]"
             row.append(entry)
         rows.append(row)
-    text += "\n" + report.markdown_table(["cells", "sigma0", *schemes], rows)
-    rows = [[f"{one['cells']}^2", report.number(one["sigma0"], 1), one["scheme"], one["above_it"]]
-            for one in records if one["above_it"]]
-    return text + "\nWhat goes wrong just above:\n\n" + report.markdown_table(
-        ["cells", "sigma0", "scheme", "trouble"], rows)
+    return report.markdown_table(["cells", "sigma0", *schemes], rows)
 
 
 def _draw(path, records, stiffnesses):
-    with report.picture(path, 4.2 * len(stiffnesses), 4.2, columns=len(stiffnesses),
-                        sharey=True) as (figure, axes):
+    size = dict(width=4.2 * len(stiffnesses), height=4.2)
+    with report.picture(path, **size, columns=len(stiffnesses), sharey=True) as (figure, axes):
         for axis, sigma0 in zip(axes[0], stiffnesses):
             _draw_panel(axis, [one for one in records if one["sigma0"] == sigma0])
             axis.set_title(f"$\\sigma_0$ = {report.number(sigma0, 1)}")
             axis.set_xlabel("cells across")
         axes[0, 0].set_ylabel(r"largest stable $\Delta t$")
-        report.legend_below(figure, axes[0, 0], 6)
+        report.legend_below(figure, axes[0, 0], 5)
 
 
 def _draw_panel(axis, records):
+    """Limits at every step; the paper's as hollow symbols."""
+    records = [one for one in records if one["criterion"] == ALWAYS]
     cells = sorted({one["cells"] for one in records})
     schemes = list(dict.fromkeys(one["scheme"] for one in records))
     for k, scheme in enumerate(schemes):
@@ -209,8 +225,11 @@ def _draw_panel(axis, records):
             axis.loglog([one["cells"] for one in known], [one["paper_dt"] for one in known],
                         linestyle=":", markersize=10, markerfacecolor="none",
                         label=f"{scheme}, Hu & Lai", **style)
-    axis.loglog(cells, [2 / count for count in cells], color="k", linewidth=0.8, linestyle="--",
-                label=r"$\Delta t = h$")
+    ends = np.array([cells[0] / 1.3, cells[-1] * 1.3])
+    for ratio, line in ((1.0, "--"), (LARGEST, "-.")):
+        label = f"$\\Delta t$ = {ratio:g} $h$" if ratio > 1 else r"$\Delta t = h$"
+        axis.loglog(ends, 2 / ends * ratio, color="k", linewidth=0.8, linestyle=line, label=label)
+    axis.set_xlim(ends)
     axis.set_xticks(cells, [str(count) for count in cells])
     axis.minorticks_off()
 

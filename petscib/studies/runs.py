@@ -5,13 +5,14 @@ import json
 import math
 import os
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from time import perf_counter
-from typing import Mapping
 
 import numpy as np
 
@@ -24,13 +25,6 @@ FINISHED, FAILED, REFUSED, CRASHED, STOPPED = (
 _BY_EXIT_STATUS = {0: FINISHED, 2: REFUSED, 3: FAILED}
 GRACE = 10.0  # seconds between asking a run to stop and ending it
 QUIET = {"monitor": "none", "plot": False}
-# What the environment sets up anyway when `./run` or the Makefile starts a study.
-_ENVIRONMENT = {
-    "OMP_NUM_THREADS": "1",
-    "OMPI_MCA_rmaps_base_oversubscribe": "1",
-    "OMPI_MCA_hwloc_base_binding_policy": "none",
-    "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe",
-}
 
 
 @dataclass(frozen=True)
@@ -45,6 +39,8 @@ class Run:
     time_limit : float
         Seconds after which the run is stopped.
     """
+
+    program = "petscib"  # the module that makes it
 
     options: Mapping
     ranks: int = 1
@@ -63,7 +59,7 @@ class Run:
 
     def arguments(self, folder):
         """Words of the command line after the interpreter."""
-        words = ["-m", "petscib"]
+        words = ["-m", self.program]
         for name, text in self.texts.items():
             words += ["-" + name, text]
         return [*words, "-output", folder]
@@ -146,10 +142,11 @@ class Outcome:
 
 def execute(run, folder):
     """Make the run, wait for it, and return its Outcome, which `recall` finds later."""
-    os.makedirs(folder, exist_ok=True)
+    shutil.rmtree(folder, ignore_errors=True)  # half a run would look like this one's
+    os.makedirs(folder)
     # Python's copy of the environment: an MPI library in this process may have added to C's, and
     # an MPI job does not start inside another's.
-    environment = {**_ENVIRONMENT, **os.environ}
+    environment = {"OMP_NUM_THREADS": "1", **os.environ}  # the ranks are the parallelism
     root = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
     search = [root, *filter(None, [environment.get("PYTHONPATH")])]
     environment["PYTHONPATH"] = os.pathsep.join(search)
@@ -166,7 +163,7 @@ def execute(run, folder):
     status, reason = STOPPED, f"not finished after {run.time_limit:g} s"
     if exit_status is not None:
         status = _BY_EXIT_STATUS.get(exit_status, CRASHED)
-        reason = "" if status == FINISHED else _reason(log, exit_status)
+        reason = "" if status == FINISHED else _reason(log, status, exit_status)
     outcome = Outcome(run, folder, status, reason, seconds, run.command(folder))
     _remember(outcome)
     return outcome
@@ -189,10 +186,11 @@ def _wait(job, time_limit):
                 job.wait()
 
 
-def _reason(log, exit_status):
+def _reason(log, status, exit_status):
+    """Petscib's own last words, or the last line of a crash."""
     with open(log, errors="replace") as file:
         lines = [line.strip() for line in file if line.strip()]
-    ours = [line for line in lines if line.startswith("petscib: ")]
+    ours = [line for line in lines if line.startswith("petscib: ") and status != CRASHED]
     return (ours or lines or [f"exit status {exit_status}"])[-1]
 
 

@@ -5,8 +5,8 @@ Further cases are further lines of `cases`.
 """
 
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Mapping
 
 import numpy as np
 
@@ -56,16 +56,21 @@ def cases():
     for ratio, quick in ((0.25, False), (4, False), (16, True), (64, False), (256, False),
                          (1000, True)):
         found.append(Case("time step", f"dt {ratio:g} h", dict(ts_dt=ratio * H), quick))
-    for bending, quick in ((0.0, True), (1e-4, False), (0.1, False), (1.0, True)):
+    for bending, quick in ((1e-4, False), (0.1, False), (1.0, True)):
         found.append(Case("bending", f"c_b {bending:g}", dict(bending=bending), quick))
+    # Without bending a vesicle at rest stays as it is: only a flow moves it.
+    found.append(Case("bending", "c_b 0, shear rate 1", dict(bending=0.0, flow="shear"), True))
     for aspect, cells, quick in ((2, 64, False), (10, 64, True), (25, 64, True),
                                  (25, 256, False)):
         found.append(Case("axis ratio", f"1:{aspect} on {cells}^2", dict(
             axes=(0.5 / aspect, 0.5), stag_grid_x=cells, ts_dt=2 / cells), quick))
-    for rate, ratio, quick in ((0.01, 1, False), (1, 1, False), (10, 1, True), (100, 0.01, False),
-                               (1000, 0.001, True), (1000, 0.1, False)):
+    for rate, ratio, quick in ((0.01, 1, False), (1, 1, False), (10, 1, True), (10, 0.1, False)):
         found.append(Case("shear", f"rate {rate:g}, dt {ratio:g} h", dict(
             flow="shear", shear_rate=float(rate), ts_dt=ratio * H), quick))
+    # Such shear draws a membrane of 1e5 out by a percent, whatever the scheme.
+    for rate, ratio, quick in ((100, 0.01, False), (1000, 0.001, True), (1000, 0.01, False)):
+        found.append(Case("shear", f"rate {rate:g}, dt {ratio:g} h, sigma0 1e9", dict(
+            flow="shear", shear_rate=float(rate), ts_dt=ratio * H, sigma0=1e9), quick))
     for name in ("rho", "mu"):
         for power, quick in ((-4, True), (-2, False), (2, False), (4, True)):
             found.append(Case("fluid", f"{name} 1e{power}", {name: 10.0**power}, quick))
@@ -147,7 +152,7 @@ def judge(case, scheme, outcome):
         picard_iterations=float(picard.mean()) if len(picard) else None,
         step_seconds=outcome.step_seconds)
     if case.at_rest and len(energy) > 1:
-        rise = max(0.0, np.diff(energy).max() / energy.max())
+        rise = max(0.0, np.diff(energy).max() / max(energy.max(), np.finfo(float).tiny))
         record.update(energy_rise=rise, monotone=int(rise <= ROUND_OFF))
     record["verdict"] = _verdict(record)
     return record
@@ -169,18 +174,18 @@ def _markdown(records, chosen, schemes):
              f"vesicle {AXES} on {CELLS}^2 with dt = h, sigma0 = 1e5, c_b = 0.01, rho = mu = 1.\n"]
     entries = {(one["group"], one["case"], one["scheme"]): one for one in records}
 
-    def table(title, entry):
+    def table(title, entry, note=""):
         rows = [[case.group, case.name,
                  *(entry(entries[case.group, case.name, scheme]) for scheme in schemes)]
                 for case in chosen]
-        parts.append(f"**{title}**\n\n"
+        parts.append(f"**{title}**{note}\n\n"
                      + report.markdown_table(["", "case", *schemes], rows))
 
     def after(one):
         return one["verdict"] + (f" ({one['steps']})" if one["verdict"] == LOST else "")
 
-    table(f"Verdict** (energy at rest falls in every step; area and perimeter drift at most "
-          f"{DRIFT:.0%}; in brackets the steps done)**", after)
+    table("Verdict", after, f" (sound: at rest the energy falls in every step, area and perimeter "
+          f"stay within {DRIFT:.0%}; in brackets the steps done)")
     for title, name in (
         ("Largest rise of the energy in a step, relative to the largest energy", "energy_rise"),
         ("Largest ledger residual", "ledger_residual"),
@@ -193,10 +198,16 @@ def _markdown(records, chosen, schemes):
     lost = [one for one in records if one["verdict"] == LOST]
     if lost:
         rows = [[one["group"], one["case"], one["scheme"], str(one["steps"]), one["status"],
-                 one["reason"].replace("|", "/")] for one in lost]
+                 shortened(one["reason"])] for one in lost]
         parts.append("**Runs that did not finish**\n\n" + report.markdown_table(
-            ["", "case", "scheme", "steps", "status", "petscib's last line"], rows))
+            ["", "case", "scheme", "steps", "status", "last line of its output"], rows))
     return "\n".join(parts)
+
+
+def shortened(reason):
+    """The first clause of petscib's message, fit for a table; stability.csv has it all."""
+    clause = reason.split("; ")[0].replace("|", "/")
+    return clause[len("petscib: "):] if clause.startswith("petscib: ") else clause
 
 
 def _draw(path, records, chosen, schemes):

@@ -2,7 +2,8 @@
 
 A vesicle (0.2, 0.5) that relaxes, and one in shear flow, compared at the end with the scheme gcn
 on a finer grid.  The errors of X are relative to the long half axis, those of u (the larger of
-both components) to the reference's largest speed; area and perimeter to their first values.
+both components) to the largest speed of the reference's run; area and perimeter to their first
+values.
 """
 
 import sys
@@ -97,7 +98,7 @@ def _record(label, options, outcome, reference):
                   status=outcome.status, reason=outcome.reason)
     if outcome.finished and reference.finished:
         found = compare.errors(outcome, reference)
-        speed = max(abs(reference.final()[name]).max() for name in "uv")
+        speed = reference.largest("max_speed")
         record.update(
             seconds=outcome.last("wall_seconds"), X=found["X"] / LONG_AXIS,
             u=max(found["u"], found["v"]) / speed, area=found["area"],

@@ -1,0 +1,27 @@
+"""``python -m petscib.studies [-quick] [-output DIR] [-ranks N]``: all studies, one by one."""
+
+import argparse
+import importlib
+import os
+import sys
+
+from .campaign import add_options
+
+STUDIES = ("convergence", "iterations", "workprecision", "stability", "maxstep", "cputime",
+           "tanktreading")
+
+
+def main(arguments=None):
+    """Run all studies, each in its subfolder of the output folder."""
+    parser = argparse.ArgumentParser(prog="python -m petscib.studies", description=__doc__,
+                                     allow_abbrev=False)
+    add_options(parser)
+    given = parser.parse_args(arguments)
+    for name in STUDIES:
+        words = ["-ranks", str(given.ranks), *(["-quick"] if given.quick else [])]
+        words += ["-output", os.path.join(given.output or os.path.join("out", "studies"), name)]
+        importlib.import_module(f".{name}", __package__).main(words)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

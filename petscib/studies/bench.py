@@ -1,0 +1,373 @@
+"""Benchmark: seconds, iterations and memory of a step, beside what else could be done.
+
+The vesicle (0.1, 0.5) in fluid at rest, dt = h, scheme mbe: by GAMG and by transforms, on 1 and 2
+ranks.  Beside it the same step with plain CG and GAMG on the assembled matrix, one fast solve of
+the fluid's matrix (the floor), scipy's sparse LU, and the explicit scheme (Hu & Lai, Table 3).
+All is measured anew at each call, since only ratios from one run mean something on a busy machine.
+"""
+
+import json
+import os
+import sys
+from dataclasses import dataclass, field, replace
+from math import log
+
+import numpy as np
+
+from . import cputime, report
+from .campaign import Campaign
+from .runs import Run
+
+STIFFNESSES = 1e5, 1e9
+RANKS = 1, 2
+SOLVERS = {"GAMG": {}, "fft": {"fft": True}}
+PLAIN = "plain CG+GAMG"
+PLAIN_ITERATIONS = 2000
+WARM_UP = 2
+# Explicit steps are timed with less than the paper's time step, at which ours soon blows up.
+EXPLICIT_FRACTION = 0.25
+MOMENTUM = "momentum assembly", "tube set-up", "tube solve", "momentum solve"
+PHASES = (
+    "interpolation assembly", "tube set-up", "tube solve", "momentum solve", "Poisson solve",
+    "coupled solve", "tangent iteration", "forces", "marker motion", "momentum assembly",
+    "diagnostics", "output", "checks", "no phase",
+)
+# What the table of steps shows one by one; the others are its rest.
+SHOWN = "tube set-up", "tube solve", "momentum solve", "coupled solve", "Poisson solve"
+ITERATIONS = "momentum", "poisson", "coupled", "picard"
+COLUMNS = (
+    "scheme", "solver", "cells", "ranks", "sigma0", "dt", "status",
+    *(f"{name}_iterations" for name in ITERATIONS),
+    "step_seconds", "fastest_step_seconds", "fast_solve_seconds", "step_over_fast_solve",
+    "direct_seconds", "peak_memory_bytes", "bytes_per_cell",
+    *(f"{name} seconds" for name in PHASES),
+)
+
+
+class Measurement(Run):
+    """A run with a clock on its steps."""
+
+    program = "petscib.studies.measure"
+
+
+@dataclass(frozen=True)
+class Case:
+    """One line of the benchmark."""
+
+    solver: str
+    cells: int
+    sigma0: float
+    ranks: int = 1
+    scheme: str = "mbe"
+    direct: bool = field(default=False, compare=False)
+
+    @property
+    def title(self):
+        """What the progress line calls it."""
+        return f"{self.scheme}, {self.solver}, {self.cells}^2, sigma0 {self.sigma0:g}, " \
+            f"{self.ranks} rank(s)"
+
+    def options(self):
+        """Options of the run."""
+        steps = WARM_UP + (8 if self.cells <= 256 else 4)
+        dt, plain = 2 / self.cells, {}
+        if self.scheme == "ep":
+            dt = cputime.PAPER_EXPLICIT_DT[self.cells] * EXPLICIT_FRACTION
+        if self.solver == PLAIN:
+            steps = WARM_UP + 1
+            plain = {"momentum_condense": False, "momentum_ksp_max_it": PLAIN_ITERATIONS}
+        return dict(
+            scene="stiff", scheme=self.scheme, sigma0=self.sigma0, stag_grid_x=self.cells,
+            ts_dt=dt, ts_max_time=1e3, ts_max_steps=steps, warm_up=WARM_UP,
+            direct=self.direct, **plain, **SOLVERS.get(self.solver, {}))
+
+
+def main(arguments=None):
+    """Run the benchmark."""
+    bench = Campaign.from_command_line("bench", __doc__.splitlines()[0], arguments)
+    if bench.quick:
+        study(bench, (64, 128), most_plain=128, most_direct=128, explicit=(128,), geometric=(128,))
+    else:
+        study(bench, (64, 128, 256, 512, 1024), most_plain=256, most_direct=512,
+              explicit=(128, 256, 512), geometric=(512,))
+
+
+def study(bench, cells, most_plain, most_direct, explicit, geometric):
+    """Make the runs and the results; returns the records.
+
+    Parameters
+    ----------
+    bench : Campaign
+    cells : tuple of int
+    most_plain, most_direct : int
+        Largest grids for plain CG and GAMG, and for scipy's LU.
+    explicit, geometric : tuple of int
+        Grids for schemes ep and gbe.
+    """
+    cases = []
+    for count in cells:
+        for sigma0 in STIFFNESSES:
+            # Neighbours in time, as they are going to be compared.
+            cases += [
+                Case(solver, count, sigma0, ranks,
+                     direct=solver == "fft" and ranks == 1 and count <= most_direct)
+                for solver in SOLVERS for ranks in RANKS
+            ]
+            if count <= most_plain:
+                cases.append(Case(PLAIN, count, sigma0))
+        cases += [Case("fft", count, 1e9, scheme="gbe")] if count in geometric else []
+        cases += [Case("fft", count, 1e9, scheme="ep")] if count in explicit else []
+    records = {
+        case: measure(bench, case, f"{number}/{len(cases)}")
+        for number, case in enumerate(cases, 1)
+    }
+    start = start_up(bench, 128)
+    bench.write(
+        COLUMNS,
+        [[record.get(name) for name in COLUMNS] for record in records.values()],
+        _steps_table(records) + _others_table(records) + _explicit_table(records)
+        + _targets_table(records, start),
+    )
+    _draw(bench.path("bench.png"), records)
+    return records
+
+
+def measure(bench, case, progress):
+    """Make the run of a case; returns a record by the names of COLUMNS."""
+    outcome = bench.make(
+        Measurement(case.options(), case.ranks), case.title, progress, again=True)
+    record = dict(
+        scheme=case.scheme, solver=case.solver, cells=case.cells, ranks=case.ranks,
+        sigma0=case.sigma0, dt=case.options()["ts_dt"], status=outcome.status)
+    if "DIVERGED_MAX_IT" in outcome.reason:
+        record["status"] = f"none in {PLAIN_ITERATIONS}"
+    if outcome.finished:
+        with open(os.path.join(outcome.folder, "measurement.json")) as file:
+            measured = json.load(file)
+        phases = measured.pop("phase_seconds")
+        record.update((name, measured[name]) for name in COLUMNS if name in measured)
+        record.update((f"{name} seconds", phases.get(name)) for name in PHASES)
+        record["bytes_per_cell"] = record["peak_memory_bytes"] / case.cells**2
+        for name in ITERATIONS:
+            counts = outcome.column(f"{name}_iterations")[WARM_UP:]
+            record[f"{name}_iterations"] = float(np.median(counts)) if len(counts) else None
+    return record
+
+
+def start_up(bench, cells):
+    """Seconds from the command to the end of a run of one step."""
+    options = dict(scene="stiff", stag_grid_x=cells, ts_max_steps=1, fft=True)
+    return bench.make(Run(options), f"start-up, {cells}^2", again=True).seconds
+
+
+def momentum_seconds(record):
+    """Seconds of a momentum solve with all that prepares it."""
+    return sum(record[f"{name} seconds"] or 0.0 for name in MOMENTUM)
+
+
+def exponent(records, solver, ranks=1, sigma0=1e9, least=128):
+    """The power of the number of cells that the seconds of a step grow with; None for one grid."""
+    points = [
+        (log(case.cells**2), log(record["step_seconds"])) for case, record in records.items()
+        if (case.solver, case.ranks, case.sigma0, case.scheme) == (solver, ranks, sigma0, "mbe")
+        and case.cells >= least and "step_seconds" in record
+    ]
+    return float(np.polyfit(*zip(*points), 1)[0]) if len(points) > 1 else None
+
+
+def speed_up(records, case):
+    """How many times faster the ranks of a case are than one; None unless both were measured."""
+    values = [records.get(one, {}).get("fastest_step_seconds")
+              for one in (replace(case, ranks=1), case)]
+    return values[0] / values[1] if all(values) else None
+
+
+def _ms(seconds):
+    return report.number(None if seconds is None else 1e3 * seconds)
+
+
+def _steps_table(records):
+    header = ["scheme", "solver", "cells", "ranks", "sigma0", "iterations", "step, ms",
+              "tube set-up", "tube solve", "fluid", "Poisson", "rest", "/ fast solve",
+              "2 ranks: times faster", "MB", "bytes a cell"]
+    rows = []
+    for case, record in records.items():
+        row = [case.scheme, case.solver, f"{case.cells}^2", str(case.ranks),
+               report.number(case.sigma0, 1)]
+        if "step_seconds" not in record:
+            rows.append([*row, record["status"], *["-"] * (len(header) - len(row) - 1)])
+            continue
+        set_up, tube, momentum, coupled, poisson = (
+            record[f"{name} seconds"] for name in SHOWN)
+        rest = sum(record[f"{name} seconds"] or 0.0 for name in PHASES if name not in SHOWN)
+        faster = speed_up(records, case) if case.ranks > 1 else None
+        counts = [record[f"{name}_iterations"] for name in ITERATIONS]
+        rows.append([
+            *row, " + ".join(f"{count:g}" for count in counts if count is not None),
+            *map(_ms, (record["step_seconds"], set_up, tube, momentum or coupled, poisson, rest)),
+            report.number(record["step_over_fast_solve"]), report.number(faster),
+            f"{record['peak_memory_bytes'] / 1e6:.0f}", f"{record['bytes_per_cell']:.0f}"])
+    return (
+        f"Medians over the steps after the first {WARM_UP}; milliseconds. Iterations: momentum + "
+        "Poisson (mbe, ep), coupled + tangent (gbe). Fluid: CG or FGMRES with its "
+        "preconditioner. Rest: interpolation, forces, diagnostics, output. Times faster: by the "
+        "fastest steps, as other work on the machine only adds time. Memory: most that all ranks "
+        "held, interpreter and libraries (some 100 MB a rank) included. "
+        f"{os.cpu_count()} cores; at the end of the benchmark {os.getloadavg()[0]:.1f} processes "
+        "wanted to run (load average).\n\n"
+        + report.markdown_table(header, rows))
+
+
+def _others_table(records):
+    """The same work by plain CG and GAMG, by scipy's LU, and the floor."""
+    rows = []
+    for case, record in records.items():
+        if (case.solver, case.ranks, case.scheme) != ("fft", 1, "mbe") or (
+                "step_seconds" not in record):
+            continue
+        times = []
+        for solver in (PLAIN, "GAMG", "fft"):
+            other = records.get(Case(solver, case.cells, case.sigma0), {})
+            times.append(momentum_seconds(other) if "step_seconds" in other else None)
+        rows.append([f"{case.cells}^2", report.number(case.sigma0, 1),
+                     *map(_ms, (*times, record.get("direct_seconds"),
+                                record["fast_solve_seconds"])),
+                     *(report.number(times[0] / time if times[0] and time else None)
+                       for time in times[1:])])
+    return (
+        "\nOne momentum solve with its preparation, milliseconds, 1 rank.\n\n"
+        + report.markdown_table(
+            ["cells", "sigma0", PLAIN, "ours, GAMG", "ours, fft", "scipy LU", "one fast solve",
+             "plain / ours, GAMG", "plain / ours, fft"], rows))
+
+
+def _explicit_table(records):
+    """Cost to T = 1 of the explicit scheme and of ours (Hu & Lai, Table 3)."""
+    rows = []
+    for case, record in records.items():
+        implicit = records.get(Case("fft", case.cells, 1e9), {})
+        if case.scheme != "ep" or not ("step_seconds" in record and "step_seconds" in implicit):
+            continue
+        explicit_dt = cputime.PAPER_EXPLICIT_DT[case.cells]
+        for one, dt in ((record, explicit_dt), (implicit, implicit["dt"])):
+            total = cputime.END / dt * one["step_seconds"]
+            paper = cputime.PAPER[case.cells][one["scheme"]]
+            rows.append([f"{case.cells}^2", one["scheme"], report.number(dt),
+                         f"{_ms(one['step_seconds'])} ({1e3 * paper[0]:g})",
+                         f"{report.number(total)} ({paper[1]})"])
+    if not rows:
+        return ""
+    return (
+        "\nTo T = 1 at sigma0 = 1e9, with the time steps of Hu & Lai's Table 3 (their seconds in "
+        "brackets). All totals are extrapolated: number of steps times the median step (that of "
+        f"ep measured at {EXPLICIT_FRACTION:g} of its time step, which is unstable here).\n\n"
+        + report.markdown_table(["cells", "scheme", "dt", "step, ms", "total, s"], rows))
+
+
+def _targets_table(records, start):
+    rows = []
+
+    def add(what, value, goal, at_most=True):
+        if value is not None:
+            met = value <= goal if at_most else value >= goal
+            rows.append([what, report.number(value), f"{'<=' if at_most else '>='} {goal:g}",
+                         "yes" if met else "no"])
+
+    def of(case, name):
+        return records.get(case, {}).get(name)
+
+    for count, goal in ((512, 15), (1024, 18)):
+        add(f"mbe step / fast solve, {count}^2, sigma0 1e9, fft",
+            of(Case("fft", count, 1e9), "step_over_fast_solve"), goal)
+    add("gbe step / fast solve, 512^2, sigma0 1e9, fft",
+        of(Case("fft", 512, 1e9, scheme="gbe"), "step_over_fast_solve"), 60)
+    for solver in SOLVERS:
+        add(f"2 ranks against 1: times faster, 512^2, sigma0 1e9, {solver}",
+            speed_up(records, Case(solver, 512, 1e9, 2)), 1.5, False)
+    plain = records.get(Case(PLAIN, 128, 1e5), {})
+    if "step_seconds" in plain:
+        for solver in SOLVERS:
+            ours = momentum_seconds(records[Case(solver, 128, 1e5)])
+            add(f"momentum solve: times faster than plain CG+GAMG, 128^2, sigma0 1e5, {solver}",
+                momentum_seconds(plain) / ours, 30, False)
+    for solver, goal in (("fft", 1500), ("GAMG", 4000)):
+        add(f"bytes a cell, 1024^2, {solver}", of(Case(solver, 1024, 1e9), "bytes_per_cell"), goal)
+    for solver in SOLVERS:
+        add(f"power of cells that a step grows with, from 128^2, {solver}",
+            exponent(records, solver), 1.1)
+    add("seconds from the command to the end of a run of one step, 128^2", start, 2)
+    return "\n" + report.markdown_table(["quantity", "measured", "target", "met"], rows)
+
+
+def _draw(path, records):
+    cells = sorted({case.cells for case in records})
+    with report.picture(path, 14, 4.6, columns=3) as (figure, axes):
+        seconds, shares, memory = axes[0]
+        colours = dict(zip(SOLVERS, report.SERIES_COLOURS))
+        for solver in SOLVERS:
+            for ranks, line in zip(RANKS, ("-", "--")):
+                style = dict(color=colours[solver], marker="o", linestyle=line,
+                             label=f"{solver}, {ranks} rank{'s' if ranks > 1 else ''}")
+                family = [case for case in records if (case.solver, case.ranks, case.sigma0,
+                                                       case.scheme) == (solver, ranks, 1e9, "mbe")]
+                _line(seconds, records, family, "step_seconds", **style)
+                _line(memory, records, family, "peak_memory_bytes", **style)
+        ours = [Case("fft", count, 1e9) for count in cells]
+        _line(seconds, records, ours, "direct_seconds", label="scipy LU (one solve)",
+              color=report.PURPLE, marker="v")
+        _line(seconds, records, ours, "fast_solve_seconds", label="one fast solve (floor)",
+              color=report.GREY, marker="x")
+        _line(seconds, records, [Case(PLAIN, count, 1e5) for count in cells], "step_seconds",
+              label="plain CG+GAMG, sigma0 1e5", color=report.GREEN, marker="^")
+        paper = [count for count in cells if count in cputime.PAPER]
+        seconds.plot(paper, [cputime.PAPER[count]["mbe"][0] for count in paper], "k:", marker="s",
+                     mfc="none", label="Hu & Lai, 2013")
+        seconds.set_title("seconds a step, sigma0 = 1e9")
+        memory.set_title("memory of all ranks, GB")
+        memory.yaxis.set_major_formatter(lambda value, _: f"{value / 1e9:g}")
+        memory.set_ylim(bottom=0)
+        seconds.set_yscale("log")
+        for axis in (seconds, memory):
+            axis.set_xscale("log")
+            axis.set_xlabel("cells across")
+            axis.set_xticks(cells, [str(count) for count in cells])
+            axis.minorticks_off()
+        _draw_shares(shares, records, [case for case in ours if case in records])
+        report.legend_below(figure, seconds, 4)
+
+
+def _line(axis, records, cases, name, **style):
+    known = [case for case in cases if records.get(case, {}).get(name)]
+    if known:
+        axis.plot([case.cells for case in known], [records[case][name] for case in known],
+                  **style)
+
+
+def _draw_shares(axis, records, cases):
+    """Stacked bars: the phases of a step in units of one fast solve."""
+    groups = {
+        "tube set-up": ("tube set-up",),
+        "tube solves": ("tube solve",),
+        "CG and transforms": ("momentum solve",),
+        "Poisson": ("Poisson solve",),
+        "interpolation": ("interpolation assembly", "forces", "marker motion"),
+    }
+    known = [case for case in cases if "step_seconds" in records[case]]
+    names = [f"{case.cells}" for case in known]
+    bottom = np.zeros(len(known))
+    floors = np.array([records[case]["fast_solve_seconds"] for case in known])
+    for (label, phases), colour in zip(groups.items(), report.SERIES_COLOURS):
+        spent = [sum(records[case][f"{name} seconds"] or 0.0 for name in phases)
+                 for case in known]
+        axis.bar(names, spent / floors, bottom=bottom, label=label, color=colour)
+        bottom += spent / floors
+    steps = np.array([records[case]["step_seconds"] for case in known]) / floors
+    axis.bar(names, np.maximum(steps - bottom, 0.0), bottom=bottom, label="rest",
+             color=report.GREY)
+    axis.set_title("a step in fast solves, fft, 1 rank")
+    axis.set_xlabel("cells across")
+    axis.legend()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

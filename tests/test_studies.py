@@ -1,0 +1,260 @@
+"""The studies: their parts, and a tiny case of each."""
+import csv
+import os
+
+import numpy as np
+import pytest
+from conftest import mpi_environment
+
+from petscib.membrane import shapes
+from petscib.output import tables
+from petscib.studies import (
+    compare,
+    convergence,
+    cputime,
+    maxstep,
+    report,
+    runs,
+    stability,
+    tanktreading,
+    workprecision,
+)
+from petscib.studies.campaign import Campaign
+
+TINY = dict(scene="relaxation", stag_grid_x=16, fft=True, ts_dt=0.03125, ts_max_time=0.0625)
+
+
+@pytest.fixture
+def campaign(tmp_path, monkeypatch):
+    """Make a campaign of a name in the test's folder."""
+    for name, value in mpi_environment().items():
+        monkeypatch.setenv(name, value)
+    return lambda name: Campaign(name, str(tmp_path / name))
+
+
+def forbid_runs(monkeypatch):
+    def execute(run, folder):
+        raise AssertionError(f"made again: {run.command(folder)}")
+
+    monkeypatch.setattr(runs, "execute", execute)
+
+
+def table(campaign):
+    with open(campaign.path(f"{campaign.name}.csv")) as file:
+        return list(csv.DictReader(file))
+
+
+def assert_results(campaign, picture=None):
+    """CSV, Markdown and picture are there, and nothing in them is NaN or infinite."""
+    picture = picture or f"{campaign.name}.png"
+    with open(campaign.path(picture), "rb") as file:
+        assert file.read(8) == b"\x89PNG\r\n\x1a\n"
+    for suffix in ("csv", "md"):
+        with open(campaign.path(f"{campaign.name}.{suffix}")) as file:
+            words = file.read().lower().replace(",", " ").replace("|", " ").split()
+        assert words and not {"nan", "inf", "-inf"} & set(words)
+
+
+# ---------------------------------------------------------------- parts
+
+
+def test_a_run_is_a_command_line_and_its_key_depends_on_every_option():
+    run = runs.Run(TINY)
+    assert run.command("out/x") == (
+        "mpiexec -n 1 python -m petscib -scene relaxation -stag_grid_x 16 -fft true "
+        "-ts_dt 0.03125 -ts_max_time 0.0625 -monitor none -plot false -output out/x")
+    assert run.key == runs.Run(dict(reversed(TINY.items()))).key
+    assert len({run.key, runs.Run({**TINY, "ts_dt": 0.03}).key, runs.Run(TINY, ranks=2).key}) == 3
+
+
+def test_runs_are_made_once_and_failures_are_outcomes(campaign, monkeypatch):
+    one = campaign("some")
+    good = one.run("good", TINY)
+    bad = one.run("bad", {**TINY, "scheme": "ep", "sigma0": 1e9})
+    slow = one.run("slow", {**TINY, "ts_dt": 1e-6}, time_limit=2.0)
+    refused = one.run("refused", {**TINY, "ts_dt": -1})
+    assert good.finished and good.steps == 2 and good.largest("area_error") < 1e-3
+    assert good.step_seconds > 0 and good.final()["u"].shape == (16, 17)
+    assert bad.status == runs.FAILED and bad.reason.startswith("petscib: step ")
+    assert slow.status == runs.STOPPED and slow.seconds < 2.0 + runs.GRACE
+    assert refused.status == runs.REFUSED and "-ts_dt" in refused.reason
+
+    with open(one.path("runs.csv")) as file:
+        index = {row["title"]: row for row in csv.DictReader(file)}
+    assert index["good"]["command"].endswith(good.folder)
+    assert index["slow"]["status"] == "time limit"
+    forbid_runs(monkeypatch)
+    again = campaign("some")
+    assert again.run("good", TINY) == good
+    assert again.run("bad", {**TINY, "scheme": "ep", "sigma0": 1e9}).status == runs.FAILED
+    assert again.run("slow", {**TINY, "ts_dt": 1e-6}, 1.0).status == runs.STOPPED
+    # With more time, or when the input was at fault, there is reason to try again.
+    with pytest.raises(AssertionError, match="made again"):
+        again.run("slow", {**TINY, "ts_dt": 1e-6}, time_limit=60.0)
+    with pytest.raises(AssertionError, match="made again"):
+        again.run("refused", {**TINY, "ts_dt": -1})
+
+
+def test_markers_are_compared_at_the_same_parameter_whatever_their_number():
+    coarse, fine = (shapes.ellipse((0.2, 0.5), (0, 0), 0, count) for count in (91, 600))
+    assert compare.marker_error(coarse, fine) < 1e-7
+    assert compare.marker_error(coarse + (3e-3, 4e-3), fine) == pytest.approx(5e-3, rel=1e-4)
+
+
+@pytest.mark.parametrize("component", "uv")
+def test_velocities_are_compared_at_the_coarse_faces(component):
+    def field(cells):
+        shape = (cells, cells + 1) if component == "u" else (cells + 1, cells)
+        y, x = np.meshgrid(*compare.face_points(shape, component, (-1, 1, -1, 1)), indexing="ij")
+        return 2 * x - 3 * y + x * y
+
+    # Bilinear fields are interpolated exactly, and only at the right places.
+    coarse, fine = field(12), field(40)
+    assert compare.velocity_error(coarse, fine, component) < 1e-13
+    coarse[5, 7] += 0.25
+    assert compare.velocity_error(coarse, fine, component) == pytest.approx(0.25)
+
+
+def test_rates():
+    assert convergence.rates((64, 128, 256), [8e-3, 2e-3, None]) == [
+        None, pytest.approx(2.0), None]
+    assert convergence.paper("mbe", "perimeter", (32, 256)) == [None, 1.154e-3]
+
+
+@pytest.mark.parametrize("limit, relation, found", [
+    (100.0, ">=", 64.0), (3.0, "=", 2 ** 1.5), (0.01, "<", 1 / 16)])
+def test_the_search_for_the_largest_step(limit, relation, found):
+    tried = []
+
+    def judge(dt):
+        tried.append(dt)
+        return "" if dt <= limit else f"trouble at {dt:.4g}"
+
+    answer = maxstep.search(judge, 1 / 16, 64.0, octave=2)
+    assert answer[:2] == (relation, pytest.approx(found))
+    assert len(tried) <= 6
+    if relation == "=":
+        assert answer[2] == "trouble at 4"
+
+
+def test_the_pareto_front_and_the_cheapest_setting():
+    records = [dict(seconds=seconds, X=error) for seconds, error in (
+        (1, 1e-2), (2, 3e-2), (3, 1e-3), (4, 1e-3), (5, 1e-5))] + [dict(status="failed")]
+    assert [one["seconds"] for one in workprecision.front(records, "X")] == [1, 3, 5]
+    assert workprecision.cheapest(records, "X", 1e-3)["seconds"] == 3
+    assert workprecision.cheapest(records, "X", 1e-6) is None
+
+
+@pytest.mark.parametrize("reduced", tanktreading.REDUCED_AREAS)
+def test_ellipses_of_a_reduced_area(reduced):
+    rx, ry = tanktreading.ellipse_axes(reduced)
+    length = shapes.ellipse_perimeter((rx, ry))
+    assert length == pytest.approx(tanktreading.PERIMETER, rel=1e-10) and rx < ry
+    assert 4 * np.pi * np.pi * rx * ry / length**2 == pytest.approx(reduced, rel=1e-10)
+
+
+@pytest.mark.parametrize("status, energies, area_error, verdict", [
+    (runs.FINISHED, [1.0, 0.5, 0.25], 1e-3, stability.SOUND),
+    (runs.FINISHED, [0.0, 0.0, 0.0], 0.0, stability.SOUND),
+    (runs.FINISHED, [1.0, 0.5, 0.6], 0.0, stability.RISES),
+    (runs.FINISHED, [1.0, 0.5, 0.25], 2e-2, stability.DRIFTS),
+    (runs.FAILED, [1.0, 0.5, 0.25], 0.0, stability.LOST),
+])
+def test_verdicts_on_stability(tmp_path, status, energies, area_error, verdict):
+    columns = "step", "energy", "area_error", "perimeter_error"
+    with tables.Table(tmp_path / "diagnostics.csv", columns) as file:
+        for step, energy in enumerate(energies):
+            file.write((step, energy, area_error, 0.0))
+    outcome = runs.Outcome(runs.Run({}), str(tmp_path), status)
+    record = stability.judge(stability.Case("group", "name", {}), "mbe", outcome)
+    assert record["verdict"] == verdict
+    assert record["energy_rise"] == pytest.approx(0.1 if verdict == stability.RISES else 0.0)
+    in_shear = stability.judge(stability.Case("group", "name", {"flow": "shear"}), "mbe", outcome)
+    assert "monotone" not in in_shear and in_shear["verdict"] != stability.RISES
+
+
+def test_stability_cases_can_all_be_asked_for(tmp_path):
+    from petscib import options
+    from petscib.settings import text_of
+
+    names = set()
+    for case in stability.cases():
+        names.add((case.group, case.name))
+        for scheme in stability.SCHEMES:
+            declared = {**stability.declare(case, scheme), "output": str(tmp_path)}
+            options.read({name: text_of(value) for name, value in declared.items()})
+    assert len(names) == len(stability.cases())
+
+
+def test_numbers_in_tables():
+    found = [report.number(value) for value in (None, float("nan"), 0, 1.2345, 1e-5, 123456.0)]
+    assert found == ["-", "-", "0", "1.23", "1.00e-5", "1.23e5"]
+
+
+# ---------------------------------------------------------------- a tiny case of each
+
+
+def test_convergence(campaign, monkeypatch):
+    one = campaign("convergence")
+    rows = convergence.study(one, (16,), 24, schemes=("mbe",))
+    assert_results(one)
+    errors = {quantity: error for _, quantity, _, error, _, _ in rows}
+    assert set(errors) == set(convergence.QUANTITIES) and 1e-5 < errors["X"] < 0.05
+    forbid_runs(monkeypatch)
+    assert convergence.study(campaign("convergence"), (16,), 24, schemes=("mbe",)) == rows
+
+
+def test_maxstep(campaign, monkeypatch):
+    monkeypatch.setattr(maxstep, "EXPLICIT_SPAN", 4.0)
+    one = campaign("maxstep")
+    records = maxstep.study(one, (16,), (1e7,), explicit_steps=5, octave=1, time_limit=60,
+                            schemes=("ep", "gbe"), smallest=4.0)
+    assert_results(one)
+    explicit, geometric, at_end = records
+    assert explicit["dt"] < 1e-2 < geometric["dt"] <= at_end["dt"]
+
+
+def test_cputime(campaign):
+    one = campaign("cputime")
+    records = cputime.study(one, (16,), 3, 2, 60, schemes=("ep", "mbe"))
+    assert_results(one)
+    explicit, modified = records
+    assert explicit["steps"] == 3 and explicit["extrapolated"] == 1
+    # Two steps of 1/8 stand for eight.
+    assert modified["total_seconds"] == pytest.approx(
+        modified["set_up_seconds"] + 8 * modified["step_seconds"])
+
+
+def test_tanktreading(campaign, monkeypatch):
+    monkeypatch.setattr(tanktreading, "NEXT_STRAIN", 0.5)
+    monkeypatch.setattr(tanktreading, "WINDOW", 0.25)
+    one = campaign("tanktreading")
+    record, = tanktreading.study(one, (24,), (0.8,), (2.0,), 60, last_strain=1.0, first_strain=0.5)
+    assert_results(one)
+    assert record["strain"] == pytest.approx(1.0) and not record["steady"]
+    assert 0.2 < record["inclination_over_pi"] < 0.5 and record["centroid_offset"] < 1e-6
+    assert "| 0.8 | - |" in open(one.path("tanktreading.md")).read()
+
+
+def test_workprecision(campaign):
+    one = campaign("workprecision")
+    records = workprecision.study(one, (16,), 24, (0.5,), (), 60, ("be",), (1e5,))
+    for case in workprecision.CASES:
+        assert_results(one, f"workprecision-{case}.png")
+    assert len(records) == 2 and all(record["X_on_front"] for record in records)
+
+
+def test_stability(campaign):
+    one = campaign("stability")
+    small = {"stag_grid_x": 16, "axes": (0.25, 0.4), "ts_dt": 0.125}
+    chosen = [stability.Case("stiffness", f"sigma0 {sigma0:g}", {**small, "sigma0": sigma0})
+              for sigma0 in (1.0, 1e13)]
+    records = stability.study(one, chosen, steps=3, time_limit=60, schemes=("ep", "gbe"))
+    assert_results(one)
+    found = {(record["case"], record["scheme"]): record for record in records}
+    assert found["sigma0 1e+13", "ep"]["verdict"] == stability.LOST
+    good = found["sigma0 1", "gbe"]
+    assert good["verdict"] == stability.SOUND and good["monotone"] == 1
+    assert good["ledger_residual"] < 1e-6 and good["steps"] == 3
+    lost = [row for row in table(one) if row["verdict"] == stability.LOST]
+    assert all(row["reason"] for row in lost) and os.path.exists(one.path("runs.csv"))
