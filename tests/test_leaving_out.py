@@ -16,7 +16,7 @@ MARKERS = {"interpolation assembly": STEPS, "marker motion": STEPS}
 TUBE = {"forces": STEPS, "tube set-up": STEPS, "tube solve": SOME}
 PROJECTION = {"momentum solve": STEPS, "Poisson solve": STEPS}
 COUPLED = {"coupled solve": STEPS}
-ITERATED = {"interpolation assembly": STEPS, "tangent iteration": SOME, "coupled solve": SOME,
+ITERATED = {**MARKERS, "tangent iteration": SOME, "coupled solve": SOME,
             "forces": SOME, "tube set-up": SOME, "tube solve": SOME}
 NO_VESICLE = dict(scene="driven", axes=None)  # without what runs.SMALL says of a vesicle
 
@@ -32,7 +32,8 @@ SCENES = {
     "passive markers": (dict(sigma0="0", bending="0"), {**MARKERS, **PROJECTION}),
     "passive markers, be": (dict(scheme="be", sigma0="0", bending="0"), {**MARKERS, **COUPLED}),
     "passive markers, gcn": (dict(scheme="gcn", sigma0="0", bending="0"), {
-        "interpolation assembly": SOME, "tangent iteration": SOME, "coupled solve": SOME}),
+        "interpolation assembly": SOME, "tangent iteration": SOME, "coupled solve": SOME,
+        "marker motion": SOME}),
     "no vesicle": (NO_VESICLE, PROJECTION),
     "no vesicle, gbe": (dict(NO_VESICLE, scheme="gbe"), COUPLED),
     "rows now and then": (dict(diagnostics_every="3"), {
@@ -137,7 +138,7 @@ def test_walls(options, moving, through, tmp_path):
 
 def test_solvers_and_files_of_a_vesicle_are_not_made_without(tmp_path):
     simulation = finished(tmp_path, **NO_VESICLE)
-    momentum = simulation.scheme.momentum
+    momentum = simulation.scheme.solver
     assert simulation.problem.membrane is None and len(simulation.state.markers) == 0
     assert momentum.direct is None and momentum.condensation is None
     assert momentum.ksp.getOperators()[0].getType() != "python"
@@ -156,7 +157,7 @@ def test_a_scheme_has_no_other_schemes_state(tmp_path):
 
 def test_the_damped_start_makes_no_second_solver(tmp_path):
     simulation = prepared(tmp_path, scheme="gcn")
-    assert simulation.scheme.damped.coupled is simulation.scheme.scheme.coupled
+    assert simulation.scheme.damped.solver is simulation.scheme.scheme.solver
     simulation.destroy()
 
 

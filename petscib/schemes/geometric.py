@@ -5,16 +5,16 @@ import numpy as np
 from ..errors import SolveError
 from ..events import phase
 from ..membrane import geometry
-from ..problem import State, Step
 from ..solvers.anderson import Anderson
 from ..solvers.saddle import CoupledSolver
+from .stage import StageScheme
 
 # A pass is solved this much more accurately than the positions changed in the pass before.
 INNER_FRACTION = 0.02
 ANDERSON_DEPTH = 5
 
 
-class Geometric:
+class Geometric(StageScheme):
     """Backward Euler and Crank-Nicolson with the averaged tangent.
 
     With tau = (D_s X^{n+1} + D_s X^n) / (|D_s X^{n+1}| + |D_s X^n|) the identity
@@ -36,14 +36,11 @@ class Geometric:
         displacement of the step; picard_max_it.
     """
 
-    advice = "try a smaller -ts_dt"
-
     def __init__(self, problem, theta, controls):
-        self.problem = problem
-        self.theta = theta
+        super().__init__(
+            problem, theta, CoupledSolver(problem.operators, problem.rho, problem.mu)
+        )
         self.controls = controls
-        self.coupled = CoupledSolver(problem.operators, problem.rho, problem.mu)
-        self._rhs = problem.grid.velocity_vector()
 
     def step(self, state, dt):
         """Take one step from `state`.  Collective.  Returns a Step."""
@@ -66,10 +63,12 @@ class Geometric:
                 tangent = None
                 if membrane.sigma0:
                     tangent = averaged_tangent(state.markers, guess, membrane.ds)
-                rtol = INNER_FRACTION * change
-                iterations += self._solve(
-                    state, dt, interpolation, tangent, stage, pressure, rtol
-                )
+                # rho (w - u^n) / (theta dt) + grad p
+                #     = mu Laplacian w + F[force^n - theta dt W J w],  div w = 0
+                self.set_equations(state, dt, interpolation, tangent)
+                with phase("coupled solve"):
+                    rtol = INNER_FRACTION * change
+                    iterations += self.solver.solve(self._rhs, stage, pressure, rtol)
 
                 # X^{n+1} = X^n + dt J w
                 marker_velocity = interpolation.interpolate(stage)
@@ -77,47 +76,15 @@ class Geometric:
                 change = self._relative_change(guess, markers, state.markers)
                 guess = acceleration.next(guess, markers)
             passes += 1
-        interpolation.destroy()
 
         # u^{n+1} = u^n + (w - u^n) / theta
-        velocity = stage.copy()
-        velocity.axpby(1 - 1 / theta, 1 / theta, state.velocity)
-        rate = membrane.stretch_rate(marker_velocity, tangent)
-        end = State(
-            state.step + 1,
-            state.time + dt,
-            velocity,
-            pressure,
-            markers,
-            problem.next_stretch(state.stretch, rate, dt, markers),
-            {**problem.next_history(state, stage), "marker_velocity": marker_velocity},
-        )
-        return Step(
-            dt,
-            theta,
-            state,
-            end,
-            stage,
-            stretch_rate=rate,
-            marker_velocity=marker_velocity,
+        velocity = self.end_velocity(state, stage)
+        step = self.finish(
+            state, dt, stage, velocity, pressure, interpolation, tangent, stage,
             iterations={"coupled": iterations, "picard": passes},
         )
-
-    def _solve(self, state, dt, interpolation, tangent, stage, pressure, rtol):
-        """The coupled equations of one pass for a given tangent.
-
-        rho (w - u^n) / (theta dt) + grad p = mu Laplacian w + F[force^n - theta dt W J w],
-        div w = 0.
-        """
-        problem, interval = self.problem, self.theta * dt
-        problem.fluid_rhs(state.velocity, interval, self._rhs)
-        if problem.acted_on:
-            self.coupled.update(interval, interpolation, problem.membrane.stiffness(tangent))
-            problem.add_force(state, tangent, interpolation, self._rhs)
-        else:
-            self.coupled.update(interval)
-        with phase("coupled solve"):
-            return self.coupled.solve(self._rhs, stage, pressure, rtol)
+        step.end.history["marker_velocity"] = step.marker_velocity
+        return step
 
     def _move(self, interpolation, markers):
         if interpolation is not None:
@@ -133,10 +100,6 @@ class Geometric:
             floor = np.finfo(float).eps * min(self.problem.grid.dx, self.problem.grid.dy)
             change = geometry.length(after - before).max() / max(moved, floor)
         return self.problem.grid.comm.tompi4py().bcast(change)
-
-    def destroy(self):
-        """Free the solver."""
-        self.coupled.destroy()
 
 
 def averaged_tangent(start, end, ds):
