@@ -9,7 +9,7 @@ import math
 import re
 import textwrap
 from dataclasses import dataclass
-from typing import Any, Tuple
+from typing import Any
 
 from petscib import scenes
 from petscib.coupling.kernels import KERNELS
@@ -35,6 +35,7 @@ class Number:
 
     @property
     def allowed(self):
+        """What is allowed, in words."""
         bounds = []
         if math.isfinite(self.low):
             bounds.append(("above " if self.open_low else "from ") + text_of(self.low))
@@ -43,6 +44,7 @@ class Number:
         return " ".join([self.noun, *bounds])
 
     def parse(self, text):
+        """The value of a text; a ValueError says what is wrong with it."""
         # float() and int() also take "1_000" and foreign digits, which no one means.
         if not re.fullmatch(self.pattern, text, re.ASCII):
             raise ValueError(f"not a {self.noun}")
@@ -56,6 +58,7 @@ class Number:
         return value
 
     def convert(self, text):
+        """The number of a text of the right form."""
         return float(text)
 
 
@@ -70,6 +73,7 @@ class Whole(Number):
     pattern = r"[+-]?\d{1,18}"
 
     def convert(self, text):
+        """The number of a text of the right form."""
         return int(text)
 
 
@@ -77,18 +81,21 @@ class Whole(Number):
 class Numbers:
     """A comma list of numbers, one for each of the names."""
 
-    names: Tuple[str, ...]
+    names: tuple[str, ...]
     each: Number = Number()
 
     @property
     def symbol(self):
+        """How -help shows a value."""
         return ",".join(self.names)
 
     @property
     def allowed(self):
+        """What is allowed, in words."""
         return f"{self.symbol}, each a {self.each.allowed}"
 
     def parse(self, text):
+        """The value of a text; a ValueError says what is wrong with it."""
         parts = text.split(",")
         if len(parts) != len(self.names):
             raise ValueError(f"not {len(self.names)} values with commas between (and no blanks)")
@@ -99,14 +106,16 @@ class Numbers:
 class Choice:
     """One of several names, in any case, as PETSc reads its own."""
 
-    names: Tuple[str, ...]
+    names: tuple[str, ...]
     symbol: str = "NAME"
 
     @property
     def allowed(self):
+        """What is allowed, in words."""
         return ", ".join(self.names)
 
     def parse(self, text):
+        """The value of a text; a ValueError says what is wrong with it."""
         if text.lower() not in self.names:
             raise ValueError("no such choice")
         return text.lower()
@@ -120,6 +129,7 @@ class Flag:
     allowed = "true/false, yes/no, on/off, 1/0"
 
     def parse(self, text):
+        """The value of a text; a ValueError says what is wrong with it."""
         if text.lower() in ("", "true", "yes", "on", "1"):
             return True
         if text.lower() in ("false", "no", "off", "0"):
@@ -135,6 +145,7 @@ class Path:
     allowed = "a path"
 
     def parse(self, text):
+        """The value of a text; a ValueError says what is wrong with it."""
         return text
 
 
@@ -155,6 +166,7 @@ class Option:
 
     @property
     def default_text(self):
+        """The default as -help shows it."""
         return self.automatic or text_of(self.default)
 
 

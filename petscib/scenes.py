@@ -5,8 +5,9 @@ A scene is chosen by ``-scene NAME``; options given by the user win over it. To 
 """
 
 import textwrap
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Mapping
+from typing import Any
 
 from petscib.settings import text_of
 

@@ -2,6 +2,7 @@
 import dense
 import numpy as np
 import pytest
+from test_solvers import Case, assert_close, momentum_options
 
 from petscib.fluid.grid import Grid
 from petscib.fluid.operators import Operators
@@ -9,7 +10,6 @@ from petscib.fluid.walls import Walls
 from petscib.solvers import krylov
 from petscib.solvers.momentum import FluidMatrix
 from petscib.solvers.window import Window
-from test_solvers import Case, assert_close, momentum_options
 
 TRANSFORM = {
     "pc_type": "python",

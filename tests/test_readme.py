@@ -3,6 +3,7 @@
 The table is `python -c "from petscib import options; print(options.markdown_table())"`.
 """
 
+import importlib.util
 import re
 import shlex
 from pathlib import Path
@@ -19,8 +20,8 @@ COMMANDS = [line.split("#")[0].strip() for block in BLOCKS for line in block.spl
 
 
 def test_the_options_table_is_the_programs():
-    start = TEXT.index("markdown_table -->\n") + len("markdown_table -->\n")
-    assert TEXT[start : TEXT.index("<!-- end of options")].strip() == options.markdown_table().strip()
+    _, table = TEXT.split("markdown_table -->\n")
+    assert table.split("<!-- end of options")[0].strip() == options.markdown_table().strip()
 
 
 @pytest.mark.parametrize("command", [c for c in COMMANDS if c.startswith("./run -")])
@@ -42,9 +43,9 @@ def test_its_make_targets_exist(command):
     assert f"\n{command.split()[1]}:" in (ROOT / "Makefile").read_text()
 
 
-@pytest.mark.parametrize("name", re.findall(r"python -m (petscib\.[a-z.]+)", TEXT))
+@pytest.mark.parametrize("name", re.findall(r"python -m (petscib[a-z.]*[a-z])\b", TEXT))
 def test_its_modules_exist(name):
-    assert (ROOT / (name.replace(".", "/") + ".py")).exists()
+    assert importlib.util.find_spec(name) is not None
 
 
 def test_every_scheme_is_in_the_table_of_schemes():

@@ -1,6 +1,7 @@
 """Fast direct solvers: exact inverses of the assembled matrices, and how options put them in."""
 import csv
 
+import dense
 import numpy as np
 import pytest
 from petsc4py import PETSc
@@ -11,8 +12,6 @@ from petscib.fluid.operators import Operators
 from petscib.fluid.walls import Walls
 from petscib.solvers.momentum import FluidMatrix
 from petscib.solvers.poisson import PoissonSolver
-
-import dense
 
 RHO, MU = 1.3, 0.7
 NAME = "petscib.solvers.transforms."

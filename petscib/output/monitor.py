@@ -93,6 +93,7 @@ class LogMonitor(Monitor):
     """
 
     def start(self, step, time, end_time, max_steps):
+        """Begin; a restarted run says where."""
         super().start(step, time, end_time, max_steps)
         self._lines = 0
         self._last_row = None
@@ -102,11 +103,13 @@ class LogMonitor(Monitor):
             self.write(f"restarted at step {step}, time {time:.6g} ({self._first_fraction:.0%})")
 
     def update(self, row):
+        """Take note of a step, and print its line when one is due."""
         self._last_row = dict(row)
         if self._is_due(row):
             self._print_last_row()
 
     def close(self):
+        """Print the line of the last step."""
         if self._last_row is not None:
             self._print_last_row()
 
@@ -141,6 +144,7 @@ class BarMonitor(Monitor):
     """
 
     def start(self, step, time, end_time, max_steps):
+        """Begin with what is done already."""
         super().start(step, time, end_time, max_steps)
         from tqdm import tqdm
 
@@ -159,6 +163,7 @@ class BarMonitor(Monitor):
         self.update({"step": step, "time": time})
 
     def update(self, row):
+        """Move the bar."""
         time, step = row["time"], row["step"]
         end_time = self._ends[0]
         end = f"/{end_time:g}" if _number(end_time) else ""
@@ -175,10 +180,12 @@ class BarMonitor(Monitor):
             self._drawn_at = monotonic()
 
     def write(self, line):
+        """Print a line above the bar."""
         # tqdm takes the bar off the screen, prints the line, and draws the bar again below.
         self._bar.write(line, file=self.stream)
 
     def close(self):
+        """Finish the bar."""
         if not self._bar.disable:
             self._bar.refresh()
         self._bar.close()

@@ -203,9 +203,12 @@ class Results:
             "total_seconds": seconds,
             "phase_seconds": dict(phases),
             "peak_memory_bytes": peak_memory(self.comm),
-            "last_row": self.last_row,
+            "last_row": {
+                name: value if value is None or np.isfinite(value) else None  # JSON has no NaN
+                for name, value in (self.last_row or {}).items()
+            },
         }
-        text = json.dumps(summary, indent=2) + "\n"
+        text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
         on_root(self.comm, lambda: files.write_text(self.path("summary.json"), text))
         return summary
 

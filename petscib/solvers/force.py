@@ -23,7 +23,6 @@ Of f only its action counts: in the end the velocities in the tube are found fro
 it, as in the condensation, so that A u = b holds within the tube to round-off.
 """
 
-import numpy as np
 from petsc4py import PETSc
 
 from ..events import phase

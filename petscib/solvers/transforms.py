@@ -11,7 +11,7 @@ O(N log N) operations.  It is fastest when the cells have small prime factors.
 """
 
 from functools import partial
-from typing import Callable, NamedTuple, Tuple
+from typing import Callable, NamedTuple
 
 import numpy as np
 from petsc4py import PETSc
@@ -74,7 +74,7 @@ class Field(NamedTuple):
     """
 
     index: np.ndarray
-    bases: Tuple[Basis, Basis]
+    bases: tuple[Basis, Basis]
 
     @property
     def unknown(self):

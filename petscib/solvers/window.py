@@ -19,7 +19,7 @@ import numpy as np
 from petsc4py import PETSc
 from scipy.linalg import lapack
 
-from .transforms import X, Y, Slabs, transform, velocity_fields
+from .transforms import Slabs, X, Y, transform, velocity_fields
 
 
 def _pivot(first, phi):
