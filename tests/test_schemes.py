@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from petscib.fluid.flows import extensional
-from petscib.schemes import SCHEMES, create
+from petscib.membrane import geometry
+from petscib.schemes import SCHEMES, Controls, create
 
 DT, RHO, MU, SIGMA0, BENDING, RATE = 0.05, 1.3, 0.7, 50.0, 0.02, 0.8
 PROJECTION = ("ep", "mbe", "mcn")  # the others solve for velocity and pressure together
@@ -275,17 +276,44 @@ def test_poiseuille_flow_is_kept_to_second_order_in_space(scheme):
 # ---------------------------------------------------------------- order in time
 
 
-def test_mbe_is_first_order_in_time():
+def observed_orders(scheme, counts, end, controls=None, **values):
+    """Orders in X and u from three numbers of steps to the same time."""
     answers = []
-    for steps in (32, 64, 128):
-        problem, state = dense.problem(stag_grid_x=16, axes="0.3,0.4", sigma0=5, rest_length=0.8,
-                                       rho=10)
-        with dense.petsc_options(momentum_ksp_rtol=1e-11, poisson_ksp_rtol=1e-11):
-            stepper = create("mbe", problem)
+    for steps in counts:
+        problem, state = dense.problem(**values)
+        with dense.petsc_options(momentum_ksp_rtol=1e-11, poisson_ksp_rtol=1e-11,
+                                 coupled_ksp_rtol=1e-11):
+            stepper = create(scheme, problem, controls or Controls())
             for _ in range(steps):
-                state = stepper.step(state, 0.4 / steps).end
+                state = stepper.step(state, end / steps).end
             stepper.destroy()
         answers.append((state.markers, dense.velocity(problem.grid, state.velocity)))
-    for coarse, middle, fine in zip(*answers):
-        order = np.log2(np.linalg.norm(coarse - middle) / np.linalg.norm(middle - fine))
-        assert 0.85 <= order <= 1.2
+    return [np.log2(np.linalg.norm(coarse - middle) / np.linalg.norm(middle - fine))
+            for coarse, middle, fine in zip(*answers)]
+
+
+@pytest.mark.parametrize("scheme", ["mbe", "be", "gbe"])
+def test_backward_euler_is_first_order_in_time(scheme):
+    orders = observed_orders(scheme, (32, 64, 128), 0.4, stag_grid_x=16, axes="0.3,0.4", sigma0=5,
+                             rest_length=0.8, rho=10)
+    assert all(0.8 <= order <= 1.2 for order in orders)
+
+
+def test_gcn_is_second_order_in_time():
+    """A nearly inextensible vesicle in shear flow, from the incompatible start."""
+    orders = observed_orders("gcn", (20, 40, 80), 0.5, Controls(startup=1, picard_rtol=1e-11),
+                             stag_grid_x=24, axes="0.15,0.5", sigma0=1e5, flow="shear",
+                             shear_rate=2)
+    assert min(orders) >= 1.8
+
+
+@pytest.mark.parametrize("scheme, largest", [("be", 2e-3), ("gbe", 1e-8), ("gcn", 1e-8)])
+def test_perimeter_at_high_stiffness(scheme, largest):
+    """Ellipse (0.1, 0.5), sigma0 = 1e9, dt = h: gbe and gcn keep the length they have."""
+    problem, state = dense.problem(stag_grid_x=32, axes="0.1,0.5", sigma0=1e9, bending=0.01)
+    stepper = create(scheme, problem, Controls(startup=scheme == "gcn"))
+    start = geometry.perimeter(state.markers)
+    for _ in range(8):
+        state = stepper.step(state, 2 / 32).end
+        assert abs(geometry.perimeter(state.markers) / start - 1) <= largest
+    stepper.destroy()
