@@ -2,6 +2,7 @@
 import dense
 import numpy as np
 import pytest
+from petsc4py import PETSc
 
 from petscib.errors import SolveError
 from petscib.fluid.grid import Grid
@@ -9,6 +10,7 @@ from petscib.fluid.operators import Operators
 from petscib.fluid.walls import Walls
 from petscib.membrane import geometry
 from petscib.schemes import create
+from petscib.solvers import krylov
 from petscib.solvers.momentum import MomentumSolver
 from petscib.solvers.poisson import PoissonSolver
 
@@ -227,3 +229,20 @@ def test_poisson_iterations_hardly_grow_with_the_grid(ranks):
             counts.append(solver.solve(source, solution))
             solver.destroy()
     assert max(counts) <= 25
+
+
+def test_a_first_guess_many_orders_too_large_is_dropped():
+    diagonal = PETSc.Vec().createMPI(20)
+    diagonal.setArray(1.0 + np.arange(*diagonal.getOwnershipRange()))
+    matrix = PETSc.Mat().createAIJ((diagonal.getSizes(),) * 2, nnz=1)
+    matrix.setDiagonal(diagonal)
+    matrix.assemble()
+    ksp = krylov.create(matrix, "guess_", {"ksp_type": "fgmres", "pc_type": "none"})
+    rhs, solution = matrix.createVecs()
+    rhs.set(1e-9)
+    solution.set(1e9)
+    krylov.solve(ksp, rhs, solution, "test", "")
+    solution.pointwiseMult(solution, diagonal)
+    assert np.allclose(solution.getArray(), 1e-9, rtol=1e-4, atol=0)
+    ksp.destroy()
+    krylov.withdraw_defaults()

@@ -95,12 +95,13 @@ class ForceSolver:
         self._respond(rhs, velocity)
         self._caused.getArray()[:] = self.block.forces_of(outer.from_tube(velocity)) - base
         self._force.getArray()[:] = guess - base
-        self.ksp.solve(self._caused, self._force)
-        krylov.check(self.ksp, "momentum", krylov.advice(self.ksp))
+        iterations = krylov.solve(
+            self.ksp, self._caused, self._force, "momentum", krylov.advice(self.ksp)
+        )
         total.axpy(1.0, self._force)
         self._respond(rhs, velocity)
         outer.recover(rhs, velocity)
-        return self.ksp.getIterationNumber()
+        return iterations
 
     def _respond(self, rhs, velocity):
         """Set the velocity to A0^{-1} (rhs - B^T f), with f the total force."""

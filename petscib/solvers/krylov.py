@@ -101,19 +101,38 @@ def advice(ksp):
     return f"a larger -{prefix}ksp_max_it may help, -{prefix}ksp_monitor shows more"
 
 
-def check(ksp, what, advice):
-    """Raise SolveError on every rank when the last solve did not converge.
+def solve(ksp, rhs, solution, what, advice):
+    """Solve, from the values in `solution` unless they are no use.  Collective.
+
+    After a long step the last state can be so many orders too large a guess that PETSc takes it
+    for divergence before the first iteration; then zero is the better one.
 
     Parameters
     ----------
     ksp : PETSc.KSP
+    rhs, solution : PETSc.Vec
     what : str
-        Which solve it was, for the message.
+        Which solve it is, for the message.
     advice : str
         What the user can try.
+
+    Returns
+    -------
+    int
+        Iterations.
+
+    Raises
+    ------
+    SolveError
+        On every rank, when the solve does not converge.
     """
+    ksp.solve(rhs, solution)
+    if ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_DTOL:
+        solution.set(0.0)
+        ksp.solve(rhs, solution)
     if ksp.getConvergedReason() < 0:
         raise SolveError(
             f"{what} solve failed: {reason_name(ksp)} after {ksp.getIterationNumber()} "
             f"iterations; {advice}"
         )
+    return ksp.getIterationNumber()

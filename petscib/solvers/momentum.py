@@ -194,16 +194,17 @@ class MomentumSolver:
 
     def solve(self, rhs, velocity):
         """Solve for `velocity` (first guess on entry).  Returns the iterations."""
-        if self.condensation is None:
-            self.ksp.solve(rhs, velocity)
-        elif self.force_solver:
+        if self.force_solver and self.condensation:
             return self.force_solver.solve(rhs, velocity)
-        else:
-            self.condensation.condense(rhs, self._rhs)
-            self.ksp.solve(self._rhs, velocity)
-            self.condensation.recover(rhs, velocity)
-        krylov.check(self.ksp, "momentum", krylov.advice(self.ksp))
-        return self.ksp.getIterationNumber()
+        if self.condensation is None:
+            return self._iterate(rhs, velocity)
+        self.condensation.condense(rhs, self._rhs)
+        iterations = self._iterate(self._rhs, velocity)
+        self.condensation.recover(rhs, velocity)
+        return iterations
+
+    def _iterate(self, rhs, velocity):
+        return krylov.solve(self.ksp, rhs, velocity, "momentum", krylov.advice(self.ksp))
 
     def _release(self):
         """Free what belongs to one configuration of the membrane."""

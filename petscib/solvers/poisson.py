@@ -32,7 +32,6 @@ class PoissonSolver:
         self.null_space = self.matrix.getNullSpace()
         self.ksp = krylov.create(self.matrix, prefix, defaults)
         self._rhs = self.matrix.createVecLeft()
-        self._residual = self._rhs.duplicate()
 
     def solve(self, source, solution):
         """Solve for `solution` (first guess on entry).  Collective.
@@ -45,28 +44,17 @@ class PoissonSolver:
         source.copy(self._rhs)
         self._rhs.scale(-1)  # the assembled matrix is minus the Laplacian
         self.null_space.remove(self._rhs)
-        if self.ksp.getInitialGuessNonzero():
-            self._drop_bad_guess(solution)
-        self.ksp.solve(self._rhs, solution)
-        krylov.check(
-            self.ksp, "pressure Poisson", "try -poisson_ksp_max_it, -poisson_pc_type or -fft"
+        iterations = krylov.solve(
+            self.ksp,
+            self._rhs,
+            solution,
+            "pressure Poisson",
+            "try -poisson_ksp_max_it, -poisson_pc_type or -fft",
         )
         self.null_space.remove(solution)
-        return self.ksp.getIterationNumber()
-
-    def _drop_bad_guess(self, solution):
-        """Start from zero where that is nearer.
-
-        After a long step the last pressure can be many orders too large, which PETSc would take
-        for divergence before the first iteration.
-        """
-        self.matrix.mult(solution, self._residual)
-        self._residual.aypx(-1, self._rhs)
-        if self._residual.norm() > self._rhs.norm():
-            solution.set(0.0)
+        return iterations
 
     def destroy(self):
         """Free the solver.  Collective."""
         self.ksp.destroy()
         self._rhs.destroy()
-        self._residual.destroy()

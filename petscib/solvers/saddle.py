@@ -275,18 +275,25 @@ class CoupledSolver:
         usual = self.ksp.getTolerances()[0]
         if rtol is not None:
             self.ksp.setTolerances(rtol=max(rtol, usual))
-        if self.condensation is None:
-            self.ksp.solve(self._rhs, self._solution)
-        else:
-            self.condensation.condense(self._rhs, self._condensed)
-            self.ksp.solve(self._condensed, self._solution)
-            self.condensation.recover(self._rhs, self._solution)
-        self.ksp.setTolerances(rtol=usual)
-        krylov.check(self.ksp, "coupled", krylov.advice(self.ksp))
+        try:
+            iterations = self._solve_pair()
+        finally:
+            self.ksp.setTolerances(rtol=usual)
         layout.split(self._solution, velocity, pressure)
         pressure.scale(scale)
         pressure.shift(-pressure.sum() / pressure.getSize())
-        return self.ksp.getIterationNumber()
+        return iterations
+
+    def _solve_pair(self):
+        if self.condensation is None:
+            return self._iterate(self._rhs)
+        self.condensation.condense(self._rhs, self._condensed)
+        iterations = self._iterate(self._condensed)
+        self.condensation.recover(self._rhs, self._solution)
+        return iterations
+
+    def _iterate(self, rhs):
+        return krylov.solve(self.ksp, rhs, self._solution, "coupled", krylov.advice(self.ksp))
 
     def _release(self):
         """Free what belongs to one configuration of the markers."""
