@@ -90,7 +90,6 @@ class Interpolation:
 
     def __init__(self, grid, kernel, markers, ds):
         self.grid = grid
-        self.markers = markers
         self.stencil = Stencil(grid, kernel, markers)
         self.spreading_scale = ds / grid.cell_area
         faces = grid.velocity_dm.createGlobalVec().getSizes()

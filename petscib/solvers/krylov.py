@@ -67,7 +67,7 @@ def withdraw_defaults():
         PETSc.Options().delValue(_entered.pop())
 
 
-def create(matrix, prefix, defaults, preconditioning_matrix=None):
+def create(matrix, prefix, defaults):
     """New KSP on the matrix's communicator, set from the options under `prefix`.
 
     Iterative ones start from the solution vector's values.  Collective on the matrix.
@@ -75,7 +75,7 @@ def create(matrix, prefix, defaults, preconditioning_matrix=None):
     set_defaults(prefix, defaults)
     ksp = PETSc.KSP().create(comm=matrix.comm)
     ksp.setOptionsPrefix(prefix)
-    ksp.setOperators(matrix, preconditioning_matrix or matrix)
+    ksp.setOperators(matrix)
     try:
         ksp.setFromOptions()
     except Exception as error:
