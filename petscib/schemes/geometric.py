@@ -10,7 +10,7 @@ from ..solvers.saddle import CoupledSolver
 from .stage import StageScheme
 
 # A pass is solved this much more accurately than the positions changed in the pass before.
-INNER_FRACTION = 0.02
+INNER_FRACTION = 0.005
 ANDERSON_DEPTH = 5
 
 
@@ -23,7 +23,7 @@ class Geometric(StageScheme):
     spreads at the mean position, which makes it second order in time.
 
     The tangent depends on the new positions: Picard iteration with Anderson acceleration,
-    starting from the positions extrapolated with the last step's velocity.
+    starting from the positions that the velocities of the last two steps let expect.
 
     Parameters
     ----------
@@ -46,10 +46,11 @@ class Geometric(StageScheme):
         """Take one step from `state`.  Collective.  Returns a Step."""
         problem, membrane, theta = self.problem, self.problem.membrane, self.theta
         stage, pressure = problem.first_guess(state), state.pressure.copy()
-        guess = state.markers + dt * state.history.get("marker_velocity", 0.0)
+        guess = state.markers + dt * self._extrapolated(state.history)
         acceleration = Anderson(ANDERSON_DEPTH)
         interpolation = problem.interpolation(state.markers) if theta == 1 else None
         change, passes, iterations = 1.0, 0, 0
+        self.solver.begin(stage, pressure)
 
         while change > self.controls.picard_rtol:
             if passes == self.controls.picard_max_it:
@@ -68,7 +69,7 @@ class Geometric(StageScheme):
                 self.set_equations(state, dt, interpolation, tangent)
                 with phase("coupled solve"):
                     rtol = INNER_FRACTION * change
-                    iterations += self.solver.solve(self._rhs, stage, pressure, rtol)
+                    iterations += self.solver.iterate(self._rhs, stage, rtol)
 
                 # X^{n+1} = X^n + dt J w
                 marker_velocity = interpolation.interpolate(stage)
@@ -77,14 +78,25 @@ class Geometric(StageScheme):
                 guess = acceleration.next(guess, markers)
             passes += 1
 
+        with phase("coupled solve"):
+            self.solver.finish(stage, pressure)
         # u^{n+1} = u^n + (w - u^n) / theta
         velocity = self.end_velocity(state, stage)
         step = self.finish(
             state, dt, stage, velocity, pressure, interpolation, tangent, stage,
             iterations={"coupled": iterations, "picard": passes},
         )
-        step.end.history["marker_velocity"] = step.marker_velocity
+        history, before = step.end.history, state.history.get("marker_velocity")
+        history["marker_velocity"] = step.marker_velocity
+        if before is not None:
+            history["marker_velocity_change"] = step.marker_velocity - before
         return step
+
+    @staticmethod
+    def _extrapolated(history):
+        """Velocity of the markers to be expected from the last two steps."""
+        change = history.get("marker_velocity_change", 0.0)
+        return history.get("marker_velocity", 0.0) + change
 
     def _move(self, interpolation, markers):
         if interpolation is not None:

@@ -44,9 +44,13 @@ class TubeBlock:
         self.fluid = fluid
         self.root = None  # (theta dt ds / (dx dy))^{1/2} C
         if self.size:
-            self.interpolation = tube.interpolation()
+            self.move(tube)
             self._face, self._marker = self.interpolation.createVecs()
             self._fluid_force = self._face.duplicate()
+
+    def move(self, tube):
+        """Take new positions of the markers in a tube of the same faces."""
+        self.interpolation = tube.interpolation()
 
     def set(self, stiffness, scale):
         """Take a membrane stiffness W and the factor of J^T W J."""
@@ -106,6 +110,9 @@ class ForceSystem:
     def factor(self, forces):
         """Factor with B = `forces`; only in value if B changed only in value."""
         starts, columns, values = forces.getValuesCSR()
+        if self._matrix is not None and not np.array_equal(columns, self._force_columns):
+            self._release()
+        self._force_columns = columns
         self.count = count = len(starts) - 1
         columns = np.insert(columns + count, starts[:-1], np.arange(count))
         values = np.insert(values, starts[:-1], -1.0)

@@ -52,6 +52,7 @@ class Condensation:
         self.complete_tube = complete_tube or solve_tube
         numbers = np.concatenate((tube, shell)).astype(PETSc.IntType)
         self._local = PETSc.Vec().createSeq(len(numbers), comm=PETSc.COMM_SELF)
+        self.local_size = len(numbers)
         index = PETSc.IS().createGeneral(numbers, comm=PETSc.COMM_SELF)
         self._scatter = PETSc.Scatter().create(vector, index, self._local, None)
         self._vector = vector
@@ -75,7 +76,7 @@ class Condensation:
             self._local, vector, PETSc.InsertMode.INSERT_VALUES, PETSc.ScatterMode.REVERSE
         )
 
-    def _from_shell(self, values):
+    def from_shell(self, values):
         """K_ts times an array over the shell."""
         result = np.zeros(self.count)
         start = 0
@@ -87,7 +88,7 @@ class Condensation:
             start = stop
         return result
 
-    def _to_shell(self, values):
+    def to_shell(self, values):
         """K_st times an array over the tube."""
         parts = [np.empty(0)]
         for matrix, outside, inside in self._couplings:
@@ -102,7 +103,7 @@ class Condensation:
             self._prepare_products()
         local = self._gather(x)
         with phase("tube solve"):
-            local[: self.count] = -self.solve_tube(self._from_shell(local[self.count :]))
+            local[: self.count] = -self.solve_tube(self.from_shell(local[self.count :]))
         x.copy(self._work)
         self._return(self._work)
         self.multiply(self._work, y)
@@ -114,14 +115,14 @@ class Condensation:
         with phase("tube solve"):
             inner = self.solve_tube(local[: self.count])
         local[: self.count] = 0.0
-        local[self.count :] -= self._to_shell(inner)
+        local[self.count :] -= self.to_shell(inner)
         rhs.copy(condensed)
         self._return(condensed)
 
     def tube_rhs(self, rhs, solution):
         """b_t - K_te x_e as a new array on rank 0.  Collective."""
         inner = self._gather(rhs)[: self.count].copy()
-        return inner - self._from_shell(self._gather(solution)[self.count :])
+        return inner - self.from_shell(self._gather(solution)[self.count :])
 
     def recover(self, rhs, solution):
         """Set the tube's entries of `solution` from the others.  Collective."""
@@ -130,15 +131,20 @@ class Condensation:
             self._local.getArray()[: self.count] = self.complete_tube(rest)
         self._return(solution)
 
-    def from_tube(self, vector):
-        """Entries of `vector` in the tube as a new array on rank 0.  Collective."""
-        return self._gather(vector)[: self.count].copy()
+    def gather(self, vector):
+        """Entries of `vector` in tube and shell as a new array on rank 0.  Collective."""
+        return self._gather(vector).copy()
 
-    def add_in_tube(self, values, vector):
-        """Add an array over the tube to the entries of `vector` there.  Collective."""
+    def set_tube(self, values, vector):
+        """Set the tube's entries of `vector` from an array on rank 0.  Collective."""
+        self._gather(vector)[: self.count] = values
+        self._return(vector)
+
+    def add(self, vector, tube=0.0, shell=0.0):
+        """Add arrays over tube and shell, on rank 0, to the entries of `vector`.  Collective."""
         local = self._local.getArray()
-        local[: self.count] = values
-        local[self.count :] = 0.0
+        local[: self.count] = tube
+        local[self.count :] = shell
         self._scatter.scatter(
             self._local, vector, PETSc.InsertMode.ADD_VALUES, PETSc.ScatterMode.REVERSE
         )

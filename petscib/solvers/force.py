@@ -89,11 +89,11 @@ class ForceSolver:
         """Solve for `velocity` (first guess on entry).  Returns the iterations."""
         outer, total = self.condensation, self._total
         with phase("tube solve"):
-            base = self.direct.force(outer.from_tube(rhs))
+            base = self.direct.force(outer.gather(rhs)[: outer.count])
             guess = self.direct.force(outer.tube_rhs(rhs, velocity))
         total.getArray()[:] = base
         self._respond(rhs, velocity)
-        self._caused.getArray()[:] = self.block.forces_of(outer.from_tube(velocity)) - base
+        self._caused.getArray()[:] = self.block.forces_of(outer.gather(velocity)[: outer.count]) - base
         self._force.getArray()[:] = guess - base
         iterations = krylov.solve(
             self.ksp, self._caused, self._force, "momentum", krylov.advice(self.ksp)
@@ -107,7 +107,7 @@ class ForceSolver:
         """Set the velocity to A0^{-1} (rhs - B^T f), with f the total force."""
         rhs.copy(self._rhs)
         spread = self.block.spread(self._total.getArray(readonly=True))
-        self.condensation.add_in_tube(-spread, self._rhs)
+        self.condensation.add(self._rhs, tube=-spread)
         self.fluid_ksp.getPC().apply(self._rhs, velocity)
 
     def release(self):

@@ -89,6 +89,12 @@ def create(matrix, prefix, defaults):
     return ksp
 
 
+def has_exact_preconditioner(ksp):
+    """Whether the preconditioner is one of ours that inverts its matrix."""
+    pc = ksp.getPC()
+    return pc.getType() == "python" and getattr(pc.getPythonContext(), "exact", False)
+
+
 def reason_name(ksp):
     """Name of the reason why a solve failed, such as DIVERGED_MAX_IT."""
     reason = ksp.getConvergedReason()

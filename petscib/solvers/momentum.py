@@ -142,14 +142,15 @@ class MomentumSolver:
         self._operator = krylov.Operator(self._rhs)
         if self.condense:
             self.direct = TubeVelocity(self.prefix + "tube_")
-            if self._inverts_exactly():
+            if self.exact:
                 from .force import ForceSolver  # needs scipy
 
                 self.force_solver = ForceSolver(self.grid, self.fluid, self.ksp, self.defaults)
 
-    def _inverts_exactly(self):
-        pc = self.ksp.getPC()
-        return pc.getType() == "python" and getattr(pc.getPythonContext(), "exact", False)
+    @property
+    def exact(self):
+        """Whether the preconditioner inverts A0."""
+        return krylov.has_exact_preconditioner(self.ksp)
 
     def update(self, interval, interpolation=None, stiffness=None):
         """Set the system for theta dt = `interval` and the membrane's present configuration."""

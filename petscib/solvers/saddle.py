@@ -9,6 +9,7 @@ from .block import TubeBlock
 from .condensation import Condensation
 from .momentum import ImplicitForce, MomentumSolver, tube_blocks
 from .poisson import PoissonSolver
+from .skeleton import Skeleton
 from .stream import TubeStream
 from .tube import Tube
 
@@ -46,6 +47,12 @@ class PairLayout:
         faces = np.diff(self.velocity.getOwnershipRanges())
         rank = np.searchsorted(ranges, numbers, side="right") - 1
         return numbers - ranges[rank] + self._starts[rank] + faces[rank]
+
+    def joint(self):
+        """A new pair vector, and vectors of its velocities and pressures in the same memory."""
+        values = np.zeros(self.vector.getLocalSize())
+        parts = values, values[: self.count], values[self.count :]
+        return [PETSc.Vec().createWithArray(part, comm=self.comm) for part in parts]
 
     def split(self, pair, velocity, pressure):
         """Copy a pair vector's parts.  Not collective."""
@@ -119,6 +126,11 @@ class ProjectionPC:
     velocity : MomentumSolver
         Without membrane.
     poisson : PoissonSolver
+
+    Attributes
+    ----------
+    slope : PETSc.Vec
+        theta dt grad phi of the last application.
     """
 
     def __init__(self, pair, velocity, poisson):
@@ -126,34 +138,40 @@ class ProjectionPC:
         self.velocity_solver = velocity
         self.poisson_solver = poisson
         layout = pair.layout
-        self._force, self._velocity = layout.velocity.duplicate(), layout.velocity.duplicate()
-        self._source, self._phi = layout.pressure.duplicate(), layout.pressure.duplicate()
+        self._given, *self._source = layout.joint()
+        self._answer, *self._found = layout.joint()
+        self.slope = layout.velocity.duplicate()
+        self._excess = layout.pressure.duplicate()
+
+    @property
+    def exact(self):
+        """Whether both inner solvers are."""
+        return self.velocity_solver.exact and self.poisson_solver.exact
 
     def apply(self, pc, x, y):
         """y = approximately K0^{-1} x.  Collective."""
-        pair, fluid = self.pair, self.pair.fluid
-        interval, scale = fluid.interval, pair.scale
-        velocity, source, phi = self._velocity, self._source, self._phi
-        pair.layout.split(x, self._force, source)
-        velocity.set(0.0)
-        self.velocity_solver.solve(self._force, velocity)
+        x.copy(self._given)
+        self.project(*self._source, *self._found)
+        self._answer.copy(y)
 
-        # (theta dt) Laplacian phi = div u*, with div = -G^T and the given source of divergence
-        pair.gradient.multTranspose(velocity, phi)
-        source.axpby(1.0, -1.0 / scale, phi)
-        self._force.set(0.0)
-        excess = source.copy()
-        source.scale(-1.0 / interval)
-        phi.set(0.0)
-        self.poisson_solver.solve(source, phi)
+    def project(self, force, source, velocity, pressure):
+        """Set velocity and pressure to the answer for a force and a source.  Collective."""
+        pair, fluid, excess = self.pair, self.pair.fluid, self._excess
+        interval, scale = fluid.interval, pair.scale
+        velocity.set(0.0)
+        self.velocity_solver.solve(force, velocity)
+
+        # (theta dt) Laplacian phi = div u* less what the source asks for, with div = -G^T
+        pair.gradient.multTranspose(velocity, excess)
+        excess.axpby(1 / (scale * interval), -1 / interval, source)
+        pressure.set(0.0)
+        self.poisson_solver.solve(excess, pressure)
 
         # u = u* - theta dt grad phi,  p = rho phi - mu (div u* less its source)
-        pair.gradient.mult(phi, self._force)
-        velocity.axpy(-interval, self._force)
-        phi.scale(fluid.rho / scale)
-        phi.axpy(fluid.mu / scale, excess)
-        excess.destroy()
-        pair.layout.join(velocity, phi, y)
+        pair.gradient.mult(pressure, self.slope)
+        self.slope.scale(interval)
+        velocity.axpy(-1.0, self.slope)
+        pressure.axpby(-fluid.mu * interval / scale, fluid.rho / scale, excess)
 
     def view(self, pc, viewer):
         """Show the inner solvers."""
@@ -164,12 +182,23 @@ class ProjectionPC:
         """Free the inner solvers; PETSc calls this.  Collective."""
         self.velocity_solver.destroy()
         self.poisson_solver.destroy()
-        for vector in (self._force, self._velocity, self._source, self._phi):
+        for vector in (*self._source, *self._found, self._given, self._answer):
             vector.destroy()
+        self.slope.destroy()
+        self._excess.destroy()
 
 
 class CoupledSolver:
     """FGMRES for A u + G p = f, div u = 0, with the tube condensed.  Collective.
+
+    When the solvers inside the preconditioner are exact, the iteration is on the skeleton (see
+    `skeleton`).  Several solves with the membrane in almost the same place belong together::
+
+        solver.begin(velocity, pressure)
+        for ...:
+            solver.update(interval, interpolation, stiffness)
+            solver.iterate(rhs, velocity)
+        solver.finish(velocity, pressure)
 
     Parameters
     ----------
@@ -189,14 +218,19 @@ class CoupledSolver:
         self.velocity_solver = velocity
         self.fluid = velocity.fluid
         self.pair = FluidPair(operators, self.fluid, self.layout)
-        vector = self.layout.vector
-        self._operator = krylov.Operator(vector)
+        self._operator = krylov.Operator(self.layout.vector)
         self.ksp = krylov.create(self._operator.matrix, prefix, DEFAULTS)
+        self.skeleton = None
         pc = self.ksp.getPC()
         if pc.getType() == "python" and pc.getPythonContext() is None:
-            pc.setPythonContext(ProjectionPC(self.pair, velocity, poisson))
-        self.condensation = self._interpolation = self._tube = self._condensed = None
-        self._rhs, self._solution = vector.duplicate(), vector.duplicate()
+            projection = ProjectionPC(self.pair, velocity, poisson)
+            pc.setPythonContext(projection)
+            if projection.exact:
+                self.skeleton = Skeleton(operators, projection, prefix, DEFAULTS)
+        self.condensation = self._interpolation = self._tube = self._stream = None
+        self._condensed = None
+        self._rhs, *self._force = self.layout.joint()
+        self._solution, *self._found = self.layout.joint()
 
     def update(self, interval, interpolation=None, stiffness=None):
         """Set the system for theta dt = `interval` and the membrane's present configuration.
@@ -209,18 +243,30 @@ class CoupledSolver:
             self._operator.act_as(self.pair)
             return
         with phase("tube set-up"):
-            if changed or interpolation is not self._interpolation:
-                self._release()
-                self._condense(interpolation)
+            if interpolation is not self._interpolation:
+                self._place(interpolation, changed)
             force = ImplicitForce(interpolation, stiffness, interval)
-            self._tube.factor(stiffness, force.scale)
+            self._stream.factor(stiffness, force.scale)
         self._operator.act_as(self.condensation)
 
-    def _condense(self, interpolation):
-        grid, scale = self.operators.grid, self.pair.scale
+    def _place(self, interpolation, changed):
+        """Take new positions of the markers: as a rule, they are still in the same tube."""
+        grid = self.operators.grid
+        tube = Tube(grid, interpolation.stencil)
+        same = not changed and self._tube is not None and tube.has_faces_of(self._tube)
+        if grid.comm.tompi4py().bcast(same):
+            self._stream.move(tube)
+        else:
+            if self.skeleton and self.skeleton.started:
+                self.skeleton.finish(self._rhs, self._solution)
+            self._release()
+            self._condense(tube)
+        self._tube, self._interpolation = tube, interpolation
+
+    def _condense(self, tube):
+        scale = self.pair.scale
         if self._condensed is None:
             self._condensed = self._rhs.duplicate()
-        tube = Tube(grid, interpolation.stencil)
         block, to_faces = tube_blocks(self.fluid.matrix, tube)
         faces, cells, shell = (
             PETSc.IS().createGeneral(numbers, comm=PETSc.COMM_SELF)
@@ -231,7 +277,7 @@ class CoupledSolver:
         gradient.scale(scale)
         to_cells.scale(scale)
         block = TubeBlock(tube, block)
-        self._tube = TubeStream(tube, block, gradient, self.prefix + "tube_")
+        self._stream = TubeStream(tube, block, gradient, self.prefix + "tube_")
         layout = self.layout
         self.condensation = Condensation(
             self.pair.mult,
@@ -239,12 +285,13 @@ class CoupledSolver:
             np.concatenate((layout.faces(tube.faces), layout.cells(tube.cells))),
             np.concatenate((layout.faces(tube.shell_faces), layout.cells(tube.shell_cells))),
             [to_faces, to_cells],
-            self._tube.solve,
-            self._tube.solve_with_pressure,
+            self._stream.solve,
+            self._stream.solve_with_pressure,
         )
-        self._interpolation = interpolation
+        if self.skeleton:
+            self.skeleton.set_tube(self.condensation)
 
-    def solve(self, rhs, velocity, pressure, rtol=None):
+    def solve(self, rhs, velocity, pressure):
         """Solve for `velocity` and `pressure` (first guesses on entry).
 
         Parameters
@@ -252,7 +299,34 @@ class CoupledSolver:
         rhs : PETSc.Vec
             Force on the faces.
         velocity, pressure : PETSc.Vec
-        rtol : float, optional
+
+        Returns
+        -------
+        int
+            Iterations.
+        """
+        self.begin(velocity, pressure)
+        iterations = self.iterate(rhs, velocity)
+        self.finish(velocity, pressure)
+        return iterations
+
+    def begin(self, velocity, pressure):
+        """Take first guesses for solves that belong together."""
+        velocity.copy(self._found[0])
+        pressure.copy(self._found[1])
+        self._scaled = False  # by a factor that the next update may change
+        if self.skeleton:
+            self.skeleton.begin()
+
+    def iterate(self, rhs, velocity, rtol=0.0):
+        """Solve so far that `velocity` holds where the markers see it.
+
+        Parameters
+        ----------
+        rhs : PETSc.Vec
+            Force on the faces.
+        velocity : PETSc.Vec
+        rtol : float
             In place of the solver's relative tolerance, where it is larger.
 
         Returns
@@ -260,55 +334,53 @@ class CoupledSolver:
         int
             Iterations.
         """
-        layout, scale = self.layout, self.pair.scale
         flux = self.operators.wall_flux
-        if flux is None:
-            layout.pressure.set(0.0)
+        rhs.copy(self._force[0])
+        if flux is not None:
+            flux.copy(self._force[1])
+            self._force[1].scale(self.pair.scale)
+        if not self._scaled:
+            self._found[1].scale(1 / self.pair.scale)
+            self._scaled = True
+        if self.condensation is None:
+            iterations = self._iterate(self._rhs, rtol)
+        elif self.skeleton:
+            iterations = self.skeleton.solve(self._rhs, self._solution, rtol)
         else:
-            flux.copy(layout.pressure)
-            layout.pressure.scale(scale)
-        layout.join(rhs, layout.pressure, self._rhs)
-        pressure.copy(layout.pressure)
-        layout.pressure.scale(1 / scale)
-        layout.join(velocity, layout.pressure, self._solution)
+            self.condensation.condense(self._rhs, self._condensed)
+            iterations = self._iterate(self._condensed, rtol)
+            self.condensation.recover(self._rhs, self._solution)
+        self._found[0].copy(velocity)
+        return iterations
 
+    def finish(self, velocity, pressure):
+        """Set `velocity` and `pressure` everywhere."""
+        if self.skeleton and self.condensation:
+            self.skeleton.finish(self._rhs, self._solution)
+        self._found[0].copy(velocity)
+        self._found[1].copy(pressure)
+        pressure.scale(self.pair.scale)
+        pressure.shift(-pressure.sum() / pressure.getSize())
+
+    def _iterate(self, rhs, rtol):
         usual = self.ksp.getTolerances()[0]
-        if rtol is not None:
-            self.ksp.setTolerances(rtol=max(rtol, usual))
+        self.ksp.setTolerances(rtol=max(rtol, usual))
         try:
-            iterations = self._solve_pair()
+            return krylov.solve(self.ksp, rhs, self._solution, "coupled", krylov.advice(self.ksp))
         finally:
             self.ksp.setTolerances(rtol=usual)
-        layout.split(self._solution, velocity, pressure)
-        pressure.scale(scale)
-        pressure.shift(-pressure.sum() / pressure.getSize())
-        return iterations
-
-    def _solve_pair(self):
-        if self.condensation is None:
-            return self._iterate(self._rhs)
-        self.condensation.condense(self._rhs, self._condensed)
-        iterations = self._iterate(self._condensed)
-        self.condensation.recover(self._rhs, self._solution)
-        return iterations
-
-    def _iterate(self, rhs):
-        return krylov.solve(self.ksp, rhs, self._solution, "coupled", krylov.advice(self.ksp))
 
     def _release(self):
-        """Free what belongs to one configuration of the markers."""
+        """Free what belongs to one tube."""
         if self.condensation is not None:
             self.condensation.destroy()
-            self._tube.destroy()
-            self.condensation = self._interpolation = self._tube = None
+            self._stream.destroy()
+            self.condensation = self._tube = self._stream = None
 
     def destroy(self):
         """Free the solver.  Collective."""
         self._release()
-        self.ksp.destroy()
-        self._operator.destroy()
-        self.pair.destroy()
-        self.layout.destroy()
-        for vector in (self._rhs, self._condensed, self._solution):
-            if vector is not None:
-                vector.destroy()
+        for part in (self.skeleton, self.ksp, self._operator, self.pair, self.layout,
+                     self._condensed, *self._force, *self._found, self._rhs, self._solution):
+            if part is not None:
+                part.destroy()

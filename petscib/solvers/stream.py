@@ -117,9 +117,16 @@ class TubeStream:
             return
         self.basis = divergence_free_basis(tube)
         self.velocity.set_fluid(block.fluid.ptap(self.basis))
-        self._projected_interpolation = block.interpolation.matMult(self.basis)
+        self.move(tube)
         self.pressure.factor(gradient.transposeMatMult(gradient))
         self._psi, self._w = self.basis.createVecs()
+
+    def move(self, tube):
+        """Take new positions of the markers in a tube of the same faces."""
+        if self.block.size:
+            self.block.move(tube)
+            self._projected_interpolation = self.block.interpolation.matMult(self.basis)
+            self._forces = None
 
     def factor(self, stiffness, scale):
         """Factor for a membrane stiffness W; `scale` is the factor of J^T W J."""

@@ -161,8 +161,9 @@ def transform(functions, axis, slabs):
     """Transform each field's lines in place."""
     for function, work in zip(functions, slabs.arrays):
         if work.size:
-            # scipy may, and does as a rule, leave the answer where it was.
-            work[...] = function(work, axis=axis, overwrite_x=True)
+            answer = function(work, axis=axis, overwrite_x=True)
+            if not np.may_share_memory(answer, work):  # as a rule scipy leaves it where it was
+                work[...] = answer
 
 
 class SpectralSolver:
@@ -315,6 +316,8 @@ class PoissonTransform:
     Its matrix must be the pressure Laplacian of a `PoissonSolver`, which carries the grid.
     Answers have zero mean.
     """
+
+    exact = True
 
     def __init__(self):
         self._solver = None

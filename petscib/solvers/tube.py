@@ -116,6 +116,15 @@ class Tube:
             np.tile(((v_rows > 0) & (v_rows < grid.n))[:, None], (1, v_columns)),
         )
 
+    def has_faces_of(self, other):
+        """Whether it consists of the same faces as another tube, in the same window."""
+        return (
+            self.origin == other.origin
+            and np.array_equal(self.u, other.u)
+            and np.array_equal(self.v, other.v)
+            and np.array_equal(self.inner, other.inner)
+        )
+
     def face_positions(self):
         """Rows and columns in natural order of the tube's faces: for u and for v."""
         return [

@@ -47,7 +47,7 @@ def main(arguments=None):
     if campaign.quick:
         study(campaign, (64, 128), (1e7, 1e9), explicit_steps=200, octave=2, time_limit=300)
     else:
-        study(campaign, (128, 256, 512), STIFFNESSES, explicit_steps=1000, octave=4,
+        study(campaign, (128, 256, 512), STIFFNESSES, explicit_steps=1000, octave=2,
               time_limit=3600)
 
 
