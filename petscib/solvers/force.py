@@ -93,7 +93,8 @@ class ForceSolver:
             guess = self.direct.force(outer.tube_rhs(rhs, velocity))
         total.getArray()[:] = base
         self._respond(rhs, velocity)
-        self._caused.getArray()[:] = self.block.forces_of(outer.gather(velocity)[: outer.count]) - base
+        response = outer.gather(velocity)[: outer.count]
+        self._caused.getArray()[:] = self.block.forces_of(response) - base
         self._force.getArray()[:] = guess - base
         iterations = krylov.solve(
             self.ksp, self._caused, self._force, "momentum", krylov.advice(self.ksp)

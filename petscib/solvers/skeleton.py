@@ -225,7 +225,7 @@ class _SkeletonPC:
 
 
 def slip_faces(operators, layout):
-    """This rank's faces half a cell from a wall along them.
+    """Faces of this rank half a cell from a wall along them.
 
     Returns
     -------
