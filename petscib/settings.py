@@ -96,7 +96,7 @@ def resolve(values, given, dt_over_h):
         cells = values["stag_grid_x"], values["stag_grid_y"]
         derived["ts_dt"] = dt_over_h * min((b - a) / cells[0], (d - c) / cells[1])
     if values["startup"] is None:
-        derived["startup"] = 1 if values["scheme"] == "gcn" else 0
+        derived["startup"] = int(values["scheme"] in ("cn", "gcn"))
     if values["output"] is None:
         derived["output"] = os.path.join("out", values["scene"])
     if values["flow"] == "rest":

@@ -38,8 +38,7 @@ def main(arguments=None):
     if campaign.quick:
         study(campaign, (32, 64), 128, (0.25, 1), (1 / 512,), time_limit=120)
     else:
-        study(campaign, (32, 64, 128, 256), 512, (1 / 16, 0.25, 1, 4), (1 / 2048, 1 / 512),
-              time_limit=4000)
+        study(campaign, (32, 64, 128), 256, (0.25, 1, 4), (1 / 512,), time_limit=1000)
 
 
 def study(campaign, cells, finest, implicit_steps, explicit_steps, time_limit,
