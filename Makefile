@@ -12,7 +12,7 @@ test:
 run:
 	@./run $(ARGS)
 
-# make studies ARGS=-quick: half an hour instead of a day
+# make studies ARGS=-quick: half an hour instead of some four
 studies:
 	@needs="scipy matplotlib"; $(SETUP); "$$python" -m petscib.studies $(ARGS)
 

@@ -53,6 +53,9 @@ def cases():
     found = [Case("base", "sigma0 1e5, dt h, c_b 0.01, 64^2", {}, True)]
     for power, quick in ((7, False), (9, True), (11, False), (13, True)):
         found.append(Case("stiffness", f"sigma0 1e{power}", dict(sigma0=10.0**power), quick))
+    for power, quick in ((5, False), (9, True)):
+        found.append(Case("-stretch evolve", f"sigma0 1e{power}", dict(
+            sigma0=10.0**power, stretch="evolve"), quick))
     for ratio, quick in ((0.25, False), (4, False), (16, True), (64, False), (256, False),
                          (1000, True)):
         found.append(Case("time step", f"dt {ratio:g} h", dict(ts_dt=ratio * H), quick))
