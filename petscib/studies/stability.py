@@ -135,7 +135,11 @@ def study(campaign, chosen, steps=None, time_limit=900.0, schemes=SCHEMES):
 
 def declare(case, scheme, steps=None):
     """Options of one run."""
-    options = {**BASE, "scheme": scheme, **case.options, **({} if scheme == "ep" else LEDGER)}
+    options = {**BASE, "scheme": scheme, **case.options}
+    if scheme == "ep":  # it takes its force from the markers, and has no energy law
+        options.pop("stretch", None)
+    else:
+        options.update(LEDGER)
     return dict(options, ts_max_time=options["ts_dt"] * (steps or case.steps))
 
 
