@@ -48,9 +48,8 @@ class Case:
         membrane, here = self.problem.membrane, self.grid.comm.rank == 0
         markers = (self.markers + shift)[: None if here else 0]
         place = place or self.problem.interpolation(markers)
-        angle = turn + np.zeros((1, 1))
         tangent = geometry.unit_tangent(markers, membrane.ds)
-        tangent = np.cos(angle) * tangent + np.sin(angle) * tangent[:, ::-1] * (-1, 1)
+        tangent = np.cos(turn) * tangent + np.sin(turn) * tangent[:, ::-1] * (-1, 1)
         solver.update(INTERVAL, place, membrane.stiffness(tangent))
         iterations = solver.iterate(self.rhs, velocity)
         return place, place.interpolate(velocity), iterations

@@ -121,7 +121,7 @@ class Condensation:
 
     def tube_rhs(self, rhs, solution):
         """b_t - K_te x_e as a new array on rank 0.  Collective."""
-        inner = self._gather(rhs)[: self.count].copy()
+        inner = self.from_tube(rhs)
         return inner - self.from_shell(self._gather(solution)[self.count :])
 
     def recover(self, rhs, solution):
@@ -130,6 +130,10 @@ class Condensation:
         with phase("tube solve"):
             self._local.getArray()[: self.count] = self.complete_tube(rest)
         self._return(solution)
+
+    def from_tube(self, vector):
+        """Entries of `vector` in the tube as a new array on rank 0.  Collective."""
+        return self._gather(vector)[: self.count].copy()
 
     def gather(self, vector):
         """Entries of `vector` in tube and shell as a new array on rank 0.  Collective."""

@@ -89,12 +89,11 @@ class ForceSolver:
         """Solve for `velocity` (first guess on entry).  Returns the iterations."""
         outer, total = self.condensation, self._total
         with phase("tube solve"):
-            base = self.direct.force(outer.gather(rhs)[: outer.count])
+            base = self.direct.force(outer.from_tube(rhs))
             guess = self.direct.force(outer.tube_rhs(rhs, velocity))
         total.getArray()[:] = base
         self._respond(rhs, velocity)
-        response = outer.gather(velocity)[: outer.count]
-        self._caused.getArray()[:] = self.block.forces_of(response) - base
+        self._caused.getArray()[:] = self.block.forces_of(outer.from_tube(velocity)) - base
         self._force.getArray()[:] = guess - base
         iterations = krylov.solve(
             self.ksp, self._caused, self._force, "momentum", krylov.advice(self.ksp)

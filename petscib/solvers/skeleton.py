@@ -184,7 +184,7 @@ class Skeleton:
 
     def _tube_values(self, rhs):
         condensation, count = self.condensation, self.condensation.count
-        source = condensation.gather(rhs)[:count] - condensation.from_shell(self._near[count:])
+        source = condensation.from_tube(rhs) - condensation.from_shell(self._near[count:])
         with phase("tube solve"):
             return condensation.solve_tube(source)
 
