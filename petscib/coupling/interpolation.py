@@ -16,6 +16,8 @@ class Stencil:
 
     Attributes
     ----------
+    positions : ndarray, shape (M, 2)
+        Of the markers, from the corner of the box, in cells.
     u, v : (rows, columns, weights)
         Integer arrays of shapes (M, r, 1) and (M, 1, c), and weights (M, r, c), of the x-faces
         and of the y-faces.
@@ -25,6 +27,7 @@ class Stencil:
         a, _, c, _ = grid.domain
         x = (markers[:, 0] - a) / grid.dx
         y = (markers[:, 1] - c) / grid.dy
+        self.positions = np.stack((x, y), axis=1)
         along = (kernel.along, kernel.along_radius)
         across = (kernel.across, kernel.across_radius)
         self.u = self._product(self._line(y - 0.5, *across), self._line(x, *along))

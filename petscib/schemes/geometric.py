@@ -9,8 +9,11 @@ from ..solvers.anderson import Anderson
 from ..solvers.saddle import CoupledSolver
 from .stage import StageScheme
 
-# A pass is solved this much more accurately than the positions changed in the pass before.
+# A pass is solved this much more accurately than the positions changed in the pass before, the
+# last ones by this fraction of the iteration's tolerance.  Were they less accurate, the iteration
+# would lose its way in their noise at large time steps.
 INNER_FRACTION = 0.005
+LAST_FRACTION = 0.1
 ANDERSON_DEPTH = 5
 
 
@@ -50,7 +53,7 @@ class Geometric(StageScheme):
         acceleration = Anderson(ANDERSON_DEPTH)
         interpolation = problem.interpolation(state.markers) if theta == 1 else None
         change, passes, iterations = 1.0, 0, 0
-        self.solver.begin(stage, pressure)
+        least = min(LAST_FRACTION * self.controls.picard_rtol, self.solver.rtol)
 
         while change > self.controls.picard_rtol:
             if passes == self.controls.picard_max_it:
@@ -68,7 +71,9 @@ class Geometric(StageScheme):
                 #     = mu Laplacian w + F[force^n - theta dt W J w],  div w = 0
                 self.set_equations(state, dt, interpolation, tangent)
                 with phase("coupled solve"):
-                    rtol = INNER_FRACTION * change
+                    if not passes:
+                        self.solver.begin(stage, pressure)
+                    rtol = max(INNER_FRACTION * change, least)
                     iterations += self.solver.iterate(self._rhs, stage, rtol)
 
                 # X^{n+1} = X^n + dt J w

@@ -51,6 +51,7 @@ class TubeBlock:
     def move(self, tube):
         """Take new positions of the markers in a tube of the same faces."""
         self.interpolation = tube.interpolation()
+        self.positions = tube.stencil.positions
 
     def set(self, stiffness, scale):
         """Take a membrane stiffness W and the factor of J^T W J."""
@@ -153,9 +154,10 @@ class ForceSystem:
                 break
         return answer[: self.count], velocity
 
-    def force(self, force, rest):
-        """f alone, for right-hand sides g, r, without refinement."""
-        return self.cholesky.solve(np.concatenate((force, rest)))[: self.count]
+    def answer(self, force, rest):
+        """The pair f, w for right-hand sides g, r, without refinement.  New arrays."""
+        answer = self.cholesky.solve(np.concatenate((force, rest)))
+        return answer[: self.count], answer[self.count :]
 
     def _release(self):
         if self._matrix is not None:
@@ -168,8 +170,8 @@ class ForceSystem:
         self.cholesky.destroy()
 
 
-class TubeVelocity:
-    """Direct solver of the tube's block of the momentum system, on rank 0.
+class TubeDirect:
+    """Direct solver of the tube's block, on rank 0.
 
     On the other ranks right-hand sides and answers are empty.
 
@@ -177,36 +179,103 @@ class TubeVelocity:
     ----------
     prefix : str
         Options prefix of the factorisation.
+
+    Attributes
+    ----------
+    block : TubeBlock
+    basis : PETSc.Mat or None
+        The velocities are sought among the combinations of its columns; None: among all.
     """
+
+    basis = None
 
     def __init__(self, prefix):
         self.system = ForceSystem(prefix)
-        self.block = None
+        self._forces = None
 
-    def factor(self, block):
-        """Factor a block whose stiffness has been set."""
-        self.block = block
-        if block.size:
+    def set_block(self, block, basis=None):
+        """Take a new tube's block."""
+        self.block, self.basis = block, basis
+        if not block.size:
+            return
+        if basis is None:
             self.system.set_fluid(block.fluid)
-            self.system.factor(block.root.matMult(block.interpolation))
+        else:
+            self.system.set_fluid(block.fluid.ptap(basis))
+            self._psi, self._w = basis.createVecs()
+        self.move()
+
+    def move(self):
+        """Take the block's new positions of the markers."""
+        if self.block.size:
+            self._interpolation = self.block.interpolation
+            if self.basis is not None:
+                self._interpolation = self._interpolation.matMult(self.basis)
+            self._forces = None
+
+    def factor(self):
+        """Factor for the block's present stiffness."""
+        if self.block.size:
+            self._forces = self.block.root.matMult(self._interpolation, result=self._forces)
+            self.system.factor(self._forces)
+            self._factored = self._parts()
+
+    def _parts(self):
+        """What the block depends on besides the tube: C in units of its size, and the markers."""
+        entries = self.block.root.getValuesCSR()[2]
+        return entries / np.abs(entries).max(), self.block.positions
+
+    def drift(self):
+        """Largest change of the block since it was factored: in C, or of a marker in cells."""
+        if not self.block.size:
+            return 0.0
+        return max(np.abs(new - old).max() for old, new in zip(self._factored, self._parts()))
+
+    def _restrict(self, rhs):
+        if self.basis is None:
+            return rhs
+        self._w.getArray()[:] = rhs
+        self.basis.multTranspose(self._w, self._psi)
+        return self._psi.getArray(readonly=True)
+
+    def _extend(self, values):
+        if self.basis is None:
+            return values
+        self._psi.getArray()[:] = values
+        self.basis.mult(self._psi, self._w)
+        return self._w.getArray(readonly=True).copy()
+
+    def solve_forces(self, rhs):
+        """Forces f = B w and velocities w with A_tt w = rhs, to full accuracy.  New arrays."""
+        if not self.block.size:
+            return np.empty(0), np.empty(0)
+        force, values = self.system.solve(np.zeros(self.system.count), self._restrict(rhs))
+        return force, self._extend(values)
 
     def solve(self, rhs):
-        """Velocities w with A_tt w = rhs, to full accuracy, as a new array."""
-        if not self.block.size:
-            return np.empty(0)
-        return self.system.solve(np.zeros(self.system.count), rhs)[1]
+        """The velocities w alone."""
+        return self.solve_forces(rhs)[1]
 
     def force(self, rhs):
-        """Membrane forces f = B A_tt^{-1} rhs as a new array."""
+        """Membrane forces f = B A_tt^{-1} rhs as a new array, without refinement."""
         if not self.block.size:
             return np.empty(0)
-        return self.system.force(np.zeros(self.system.count), rhs)
+        return self.system.answer(np.zeros(self.system.count), self._restrict(rhs))[0]
 
     def precondition(self, velocity):
         """(1 + B A0_tt^{-1} B^T)^{-1} times the array `velocity`."""
+        return -self._excite(velocity)[0] if self.block.size else np.empty(0)
+
+    def correction(self, defect):
+        """Changes of f and w, without force on the fluid, by which B w - f grows by `defect`."""
         if not self.block.size:
-            return np.empty(0)
-        return -self.system.force(velocity, np.zeros(self.block.size))
+            return np.empty(0), np.empty(0)
+        force, values = self._excite(defect)
+        return force, self._extend(values)
+
+    def _excite(self, force):
+        size = self.basis.getSize()[1] if self.basis is not None else self.block.size
+        return self.system.answer(force, np.zeros(size))
 
     def destroy(self):
         """Free the factor."""

@@ -1,5 +1,7 @@
 """Krylov solvers by option prefix, with defaults that the user's options override."""
 
+from contextlib import contextmanager
+
 from petsc4py import PETSc
 
 from ..errors import InputError, SolveError
@@ -105,6 +107,17 @@ def advice(ksp):
     """What the user can try when it has not converged."""
     prefix = ksp.getOptionsPrefix()
     return f"a larger -{prefix}ksp_max_it may help, -{prefix}ksp_monitor shows more"
+
+
+@contextmanager
+def tolerances(ksp, rtol, atol):
+    """Solve with other tolerances inside the block.  Not collective."""
+    usual = ksp.getTolerances()
+    ksp.setTolerances(rtol=rtol, atol=atol)
+    try:
+        yield
+    finally:
+        ksp.setTolerances(rtol=usual[0], atol=usual[1])
 
 
 def solve(ksp, rhs, solution, what, advice):

@@ -4,8 +4,9 @@ from petsc4py import PETSc
 
 from ..events import phase
 from . import krylov
-from .block import TubeBlock, TubeVelocity
+from .block import TubeBlock, TubeDirect
 from .condensation import Condensation
+from .force import ForceSolver
 from .tube import Tube
 
 DEFAULTS = {
@@ -141,11 +142,12 @@ class MomentumSolver:
         self._rhs = self.fluid.matrix.createVecLeft()
         self._operator = krylov.Operator(self._rhs)
         if self.condense:
-            self.direct = TubeVelocity(self.prefix + "tube_")
+            self.direct = TubeDirect(self.prefix + "tube_")
             if self.exact:
-                from .force import ForceSolver  # needs scipy
-
-                self.force_solver = ForceSolver(self.grid, self.fluid, self.ksp, self.defaults)
+                response = self.ksp.getPC().getPythonContext()
+                self.force_solver = ForceSolver(
+                    response, self._rhs, self.prefix, self.defaults, "momentum"
+                )
 
     @property
     def exact(self):
@@ -163,11 +165,12 @@ class MomentumSolver:
             self._prepare_for_membrane()
         force = ImplicitForce(interpolation, stiffness, interval)
         if self.condense:
-            with phase("tube set-up"):
-                self.condensation = self._condense(force)
             if self.force_solver:
                 self.ksp.setOperators(self.fluid.matrix)
-            else:
+                self.ksp.getPC().setUp()
+            with phase("tube set-up"):
+                self.condensation = self._condense(force)
+            if not self.force_solver:
                 self._operator.act_as(self.condensation)
                 self.ksp.setOperators(self._operator.matrix, self.fluid.matrix)
         else:
@@ -185,12 +188,13 @@ class MomentumSolver:
         matrix, coupling = tube_blocks(fluid, tube)
         block = TubeBlock(tube, matrix)
         block.set(force.stiffness, force.scale)
-        self.direct.factor(block)
+        self.direct.set_block(block)
+        self.direct.factor()
         condensation = Condensation(
             fluid.mult, self._rhs, tube.faces, tube.shell_faces, [coupling], self.direct.solve
         )
         if self.force_solver:
-            self.force_solver.update(tube, self.direct, condensation)
+            self.force_solver.set_tube(tube, self.direct, condensation)
         return condensation
 
     def solve(self, rhs, velocity):
@@ -212,8 +216,6 @@ class MomentumSolver:
         if self.condensation is not None:
             self.condensation.destroy()
             self.condensation = None
-            if self.force_solver:
-                self.force_solver.release()
 
     def destroy(self):
         """Free the solver.  Collective."""

@@ -5,12 +5,12 @@ from petsc4py import PETSc
 
 from ..events import phase
 from . import krylov
-from .block import TubeBlock
+from .block import TubeBlock, TubeDirect
 from .condensation import Condensation
-from .momentum import ImplicitForce, MomentumSolver, tube_blocks
+from .force import ForceSolver
+from .momentum import FluidMatrix, ImplicitForce, MomentumSolver, tube_blocks
 from .poisson import PoissonSolver
-from .skeleton import Skeleton
-from .stream import TubeStream
+from .stream import TubeSaddle, divergence_free_basis
 from .tube import Tube
 
 DEFAULTS = {
@@ -20,6 +20,9 @@ DEFAULTS = {
     "pc_type": "python",
 }
 INNER_VELOCITY = {"ksp_type": "preonly", "pc_type": "gamg"}
+# Relative change of the membrane's matrix beyond which a factorisation of it is made anew: what a
+# stale one costs in iterations would then be more than what it saves.
+LARGE_DRIFT = 0.01
 INNER_POISSON = {"ksp_type": "preonly", "pc_type": "gamg", "mg_coarse_sub_pc_type": "svd"}
 
 
@@ -85,6 +88,7 @@ class FluidPair:
     """
 
     def __init__(self, operators, fluid, layout):
+        self.grid = operators.grid
         self.gradient = operators.gradient
         self.fluid = fluid
         self.layout = layout
@@ -127,10 +131,6 @@ class ProjectionPC:
         Without membrane.
     poisson : PoissonSolver
 
-    Attributes
-    ----------
-    slope : PETSc.Vec
-        theta dt grad phi of the last application.
     """
 
     def __init__(self, pair, velocity, poisson):
@@ -140,24 +140,18 @@ class ProjectionPC:
         layout = pair.layout
         self._given, *self._source = layout.joint()
         self._answer, *self._found = layout.joint()
-        self.slope = layout.velocity.duplicate()
-        self._excess = layout.pressure.duplicate()
+        self._slope, self._excess = layout.velocity.duplicate(), layout.pressure.duplicate()
 
-    @property
-    def exact(self):
-        """Whether both inner solvers are."""
-        return self.velocity_solver.exact and self.poisson_solver.exact
+    def setUp(self, pc):
+        """Follow the time step.  Collective."""
+        self.velocity_solver.update(self.pair.fluid.interval)
 
     def apply(self, pc, x, y):
         """y = approximately K0^{-1} x.  Collective."""
-        x.copy(self._given)
-        self.project(*self._source, *self._found)
-        self._answer.copy(y)
-
-    def project(self, force, source, velocity, pressure):
-        """Set velocity and pressure to the answer for a force and a source.  Collective."""
         pair, fluid, excess = self.pair, self.pair.fluid, self._excess
         interval, scale = fluid.interval, pair.scale
+        (force, source), (velocity, pressure) = self._source, self._found
+        x.copy(self._given)
         velocity.set(0.0)
         self.velocity_solver.solve(force, velocity)
 
@@ -168,10 +162,10 @@ class ProjectionPC:
         self.poisson_solver.solve(excess, pressure)
 
         # u = u* - theta dt grad phi,  p = rho phi - mu (div u* less its source)
-        pair.gradient.mult(pressure, self.slope)
-        self.slope.scale(interval)
-        velocity.axpy(-1.0, self.slope)
+        pair.gradient.mult(pressure, self._slope)
+        velocity.axpy(-interval, self._slope)
         pressure.axpby(-fluid.mu * interval / scale, fluid.rho / scale, excess)
+        self._answer.copy(y)
 
     def view(self, pc, viewer):
         """Show the inner solvers."""
@@ -184,17 +178,20 @@ class ProjectionPC:
         self.poisson_solver.destroy()
         for vector in (*self._source, *self._found, self._given, self._answer):
             vector.destroy()
-        self.slope.destroy()
+        self._slope.destroy()
         self._excess.destroy()
 
 
 class CoupledSolver:
-    """FGMRES for A u + G p = f, div u = 0, with the tube condensed.  Collective.
+    """Solver of A u + G p = f, div u = 0.  Collective.
 
-    When the solvers inside the preconditioner are exact, the iteration is on the skeleton (see
-    `skeleton`).  Several solves with the membrane in almost the same place belong together::
+    FGMRES, preconditioned by the projection method, on all unknowns outside the tube; or, when the
+    preconditioner inverts the fluid's system, conjugate gradients for the membrane's force (see
+    `force`).  Several solves with the membrane in almost the same place belong together::
 
+        solver.update(interval, interpolation, stiffness)
         solver.begin(velocity, pressure)
+        solver.iterate(rhs, velocity)
         for ...:
             solver.update(interval, interpolation, stiffness)
             solver.iterate(rhs, velocity)
@@ -206,90 +203,69 @@ class CoupledSolver:
     rho, mu : float
     prefix : str
         Options prefix; the tube's direct solver has <prefix>tube_, the solvers inside the
-        preconditioner <prefix>velocity_ and <prefix>poisson_.
+        projection method <prefix>velocity_ and <prefix>poisson_.
     """
 
     def __init__(self, operators, rho, mu, prefix="coupled_"):
-        self.operators = operators
+        self.grid = operators.grid
         self.prefix = prefix
-        self.layout = PairLayout(operators.grid)
-        velocity = MomentumSolver(operators, rho, mu, prefix + "velocity_", INNER_VELOCITY)
-        poisson = PoissonSolver(operators, prefix + "poisson_", INNER_POISSON)
-        self.velocity_solver = velocity
-        self.fluid = velocity.fluid
-        self.pair = FluidPair(operators, self.fluid, self.layout)
+        self.flux = operators.wall_flux
+        self.layout = PairLayout(self.grid)
         self._operator = krylov.Operator(self.layout.vector)
         self.ksp = krylov.create(self._operator.matrix, prefix, DEFAULTS)
-        self.skeleton = None
         pc = self.ksp.getPC()
-        if pc.getType() == "python" and pc.getPythonContext() is None:
-            projection = ProjectionPC(self.pair, velocity, poisson)
-            pc.setPythonContext(projection)
-            if projection.exact:
-                self.skeleton = Skeleton(operators, projection, prefix, DEFAULTS)
-        self.condensation = self._interpolation = self._tube = self._stream = None
-        self._condensed = None
-        self._rhs, *self._force = self.layout.joint()
-        self._solution, *self._found = self.layout.joint()
+        project = pc.getType() == "python" and pc.getPythonContext() is None
+        if project:
+            velocity = MomentumSolver(operators, rho, mu, prefix + "velocity_", INNER_VELOCITY)
+            poisson = PoissonSolver(operators, prefix + "poisson_", INNER_POISSON)
+            self.fluid = velocity.fluid
+        else:
+            self.fluid = FluidMatrix(operators, rho, mu)
+        self.pair = FluidPair(operators, self.fluid, self.layout)
+        self._operator.matrix.setAttr("pair", self.pair)  # for StokesTransform
+        if project:
+            pc.setPythonContext(ProjectionPC(self.pair, velocity, poisson))
+        self.direct = self._tube = self._interpolation = self._method = None
 
     def update(self, interval, interpolation=None, stiffness=None):
         """Set the system for theta dt = `interval` and the membrane's present configuration.
 
         With the interpolation of the last call, only the stiffness is taken anew.
         """
-        changed = interval != self.fluid.interval
-        self.velocity_solver.update(interval)
-        if interpolation is None:
+        changed = self.fluid.update(interval)
+        if changed or interpolation is None:
             self._operator.act_as(self.pair)
+            self.ksp.getPC().setUp()
+        if self._method is None:
+            forces = interpolation is not None and krylov.has_exact_preconditioner(self.ksp)
+            self._method = (ForceMethod if forces else CondensedMethod)(self)
+        if interpolation is None:
             return
+        if self.direct is None:
+            self.direct = TubeDirect(self.prefix + "tube_")
         with phase("tube set-up"):
             if interpolation is not self._interpolation:
                 self._place(interpolation, changed)
             force = ImplicitForce(interpolation, stiffness, interval)
-            self._stream.factor(stiffness, force.scale)
-        self._operator.act_as(self.condensation)
+            self.direct.block.set(stiffness, force.scale)
+            self._method.take_stiffness()
 
     def _place(self, interpolation, changed):
         """Take new positions of the markers: as a rule, they are still in the same tube."""
-        grid = self.operators.grid
+        grid = self.grid
         tube = Tube(grid, interpolation.stencil)
         same = not changed and self._tube is not None and tube.has_faces_of(self._tube)
         if grid.comm.tompi4py().bcast(same):
-            self._stream.move(tube)
+            self.direct.block.move(tube)
+            self.direct.move()
         else:
-            if self.skeleton and self.skeleton.started:
-                self.skeleton.finish(self._rhs, self._solution)
-            self._release()
-            self._condense(tube)
+            self._method.leave_tube()
+            matrix, to_faces = tube_blocks(self.fluid.matrix, tube)
+            block = TubeBlock(tube, matrix)
+            basis = divergence_free_basis(tube) if block.size else None
+            self.direct.set_block(block, basis)
+            self._method.enter_tube(tube, to_faces)
         self._tube, self._interpolation = tube, interpolation
-
-    def _condense(self, tube):
-        scale = self.pair.scale
-        if self._condensed is None:
-            self._condensed = self._rhs.duplicate()
-        block, to_faces = tube_blocks(self.fluid.matrix, tube)
-        faces, cells, shell = (
-            PETSc.IS().createGeneral(numbers, comm=PETSc.COMM_SELF)
-            for numbers in (tube.faces, tube.cells, tube.shell_cells)
-        )
-        (gradient,) = self.operators.gradient.createSubMatrices([faces], [cells])
-        (to_cells,) = self.operators.gradient.createSubMatrices([faces], [shell])
-        gradient.scale(scale)
-        to_cells.scale(scale)
-        block = TubeBlock(tube, block)
-        self._stream = TubeStream(tube, block, gradient, self.prefix + "tube_")
-        layout = self.layout
-        self.condensation = Condensation(
-            self.pair.mult,
-            layout.vector,
-            np.concatenate((layout.faces(tube.faces), layout.cells(tube.cells))),
-            np.concatenate((layout.faces(tube.shell_faces), layout.cells(tube.shell_cells))),
-            [to_faces, to_cells],
-            self._stream.solve,
-            self._stream.solve_with_pressure,
-        )
-        if self.skeleton:
-            self.skeleton.set_tube(self.condensation)
 
     def solve(self, rhs, velocity, pressure):
         """Solve for `velocity` and `pressure` (first guesses on entry).
@@ -312,13 +288,14 @@ class CoupledSolver:
 
     def begin(self, velocity, pressure):
         """Take first guesses for solves that belong together."""
-        velocity.copy(self._found[0])
-        pressure.copy(self._found[1])
-        self._scaled = False  # by a factor that the next update may change
-        if self.skeleton:
-            self.skeleton.begin()
+        self._method.begin(velocity, pressure)
 
-    def iterate(self, rhs, velocity, rtol=0.0):
+    @property
+    def rtol(self):
+        """Relative tolerance of a solve."""
+        return self.ksp.getTolerances()[0]
+
+    def iterate(self, rhs, velocity, rtol=None):
         """Solve so far that `velocity` holds where the markers see it.
 
         Parameters
@@ -326,61 +303,217 @@ class CoupledSolver:
         rhs : PETSc.Vec
             Force on the faces.
         velocity : PETSc.Vec
-        rtol : float
-            In place of the solver's relative tolerance, where it is larger.
+        rtol : float, optional
+            In place of the solver's relative tolerance, where that means anything.
 
         Returns
         -------
         int
             Iterations.
         """
-        flux = self.operators.wall_flux
+        return self._method.iterate(rhs, velocity, rtol)
+
+    def finish(self, velocity, pressure):
+        """Set `velocity` and `pressure` everywhere."""
+        self._method.finish(velocity, pressure)
+        pressure.shift(-pressure.sum() / pressure.getSize())
+
+    def destroy(self):
+        """Free the solver.  Collective."""
+        for part in (self._method, self.direct, self.ksp, self._operator, self.pair, self.layout):
+            if part is not None:
+                part.destroy()
+
+
+class CondensedMethod:
+    """The iteration on all unknowns outside the tube.
+
+    Parameters
+    ----------
+    solver : CoupledSolver
+    """
+
+    def __init__(self, solver):
+        self.solver = solver
+        self.condensation = self._condensed = None
+        self._rhs, *self._force = solver.layout.joint()
+        self._solution, *self._found = solver.layout.joint()
+
+    def leave_tube(self):
+        """Free what belongs to one tube."""
+        if self.condensation is not None:
+            self.condensation.destroy()
+            self._saddle.destroy()
+            self.condensation = None
+
+    def enter_tube(self, tube, to_faces):
+        """Condense a new tube, coupled by `to_faces` to the faces of its shell."""
+        solver, layout = self.solver, self.solver.layout
+        gradient, scale = solver.pair.gradient, solver.pair.scale
+        if self._condensed is None:
+            self._condensed = self._rhs.duplicate()
+        faces, cells, shell = (
+            PETSc.IS().createGeneral(numbers, comm=PETSc.COMM_SELF)
+            for numbers in (tube.faces, tube.cells, tube.shell_cells)
+        )
+        (inner,) = gradient.createSubMatrices([faces], [cells])
+        (to_cells,) = gradient.createSubMatrices([faces], [shell])
+        inner.scale(scale)
+        to_cells.scale(scale)
+        self._saddle = TubeSaddle(solver.direct, inner, solver.prefix + "tube_")
+        self.condensation = Condensation(
+            solver.pair.mult,
+            layout.vector,
+            np.concatenate((layout.faces(tube.faces), layout.cells(tube.cells))),
+            np.concatenate((layout.faces(tube.shell_faces), layout.cells(tube.shell_cells))),
+            [to_faces, to_cells],
+            self._saddle.solve,
+            self._saddle.solve_with_pressure,
+        )
+
+    def take_stiffness(self):
+        """Follow a new stiffness of the membrane."""
+        self.solver.direct.factor()
+        self.solver._operator.act_as(self.condensation)
+
+    def begin(self, velocity, pressure):
+        """Take first guesses."""
+        velocity.copy(self._found[0])
+        pressure.copy(self._found[1])
+        self._found[1].scale(1 / self.solver.pair.scale)
+
+    def iterate(self, rhs, velocity, rtol):
+        """Solve, and set `velocity`."""
+        solver, scale = self.solver, self.solver.pair.scale
         rhs.copy(self._force[0])
-        if flux is not None:
-            flux.copy(self._force[1])
-            self._force[1].scale(self.pair.scale)
-        if not self._scaled:
-            self._found[1].scale(1 / self.pair.scale)
-            self._scaled = True
+        if solver.flux is not None:
+            solver.flux.copy(self._force[1])
+            self._force[1].scale(scale)
         if self.condensation is None:
-            iterations = self._iterate(self._rhs, rtol)
-        elif self.skeleton:
-            iterations = self.skeleton.solve(self._rhs, self._solution, rtol)
+            iterations = self._solve(self._rhs, rtol)
         else:
             self.condensation.condense(self._rhs, self._condensed)
-            iterations = self._iterate(self._condensed, rtol)
+            iterations = self._solve(self._condensed, rtol)
             self.condensation.recover(self._rhs, self._solution)
         self._found[0].copy(velocity)
         return iterations
 
+    def _solve(self, rhs, rtol):
+        ksp = self.solver.ksp
+        usual, atol = ksp.getTolerances()[:2]
+        # What is left over stays the same from one solve to the next, so it need not be less.
+        with krylov.tolerances(ksp, max(usual, rtol or 0.0), atol):
+            return krylov.solve(ksp, rhs, self._solution, "coupled", krylov.advice(ksp))
+
     def finish(self, velocity, pressure):
-        """Set `velocity` and `pressure` everywhere."""
-        if self.skeleton and self.condensation:
-            self.skeleton.finish(self._rhs, self._solution)
+        """Set `velocity` and `pressure`."""
         self._found[0].copy(velocity)
         self._found[1].copy(pressure)
-        pressure.scale(self.pair.scale)
-        pressure.shift(-pressure.sum() / pressure.getSize())
+        pressure.scale(self.solver.pair.scale)
 
-    def _iterate(self, rhs, rtol):
-        usual = self.ksp.getTolerances()[0]
-        self.ksp.setTolerances(rtol=max(rtol, usual))
-        try:
-            return krylov.solve(self.ksp, rhs, self._solution, "coupled", krylov.advice(self.ksp))
-        finally:
-            self.ksp.setTolerances(rtol=usual)
+    def destroy(self):
+        """Free vectors.  Collective."""
+        self.leave_tube()
+        for vector in (self._condensed, *self._force, *self._found, self._rhs, self._solution):
+            if vector is not None:
+                vector.destroy()
 
-    def _release(self):
+
+class ForceMethod:
+    """The iteration for the membrane's force, given a direct solver of the fluid's system.
+
+    Parameters
+    ----------
+    solver : CoupledSolver
+    """
+
+    def __init__(self, solver):
+        self.solver = solver
+        self.stokes = solver.ksp.getPC().getPythonContext()
+        vector = solver.layout.velocity
+        self.force_solver = ForceSolver(self, vector, solver.prefix, DEFAULTS, "coupled")
+        self._rest, self._slope = vector.duplicate(), vector.duplicate()
+        self._lift = self._lift_force = self._lift_interval = None
+        self.condensation = self._new_tube = None
+        self._factored = False
+
+    def leave_tube(self):
         """Free what belongs to one tube."""
         if self.condensation is not None:
             self.condensation.destroy()
-            self._stream.destroy()
-            self.condensation = self._tube = self._stream = None
+            self.condensation = None
+
+    def enter_tube(self, tube, to_faces):
+        """Take a new tube, coupled by `to_faces` to the faces of its shell."""
+        solver = self.solver
+        self.condensation = Condensation(
+            solver.fluid.matrix.mult, solver.layout.velocity, tube.faces, tube.shell_faces,
+            [to_faces], solver.direct.solve,
+        )
+        self._new_tube, self._factored = tube, False
+
+    def take_stiffness(self):
+        """Follow a new stiffness of the membrane.
+
+        Between solves that belong together, an earlier factorisation will do.
+        """
+        direct = self.solver.direct
+        if not self._factored or direct.drift() > LARGE_DRIFT:
+            direct.factor()
+            self._factored = True
+        if self._new_tube is not None:
+            self.force_solver.set_tube(self._new_tube, self.solver.direct, self.condensation)
+            self._new_tube = None
+
+    def begin(self, velocity, pressure):
+        """Take first guesses."""
+        self.solver.pair.gradient.mult(pressure, self._slope)
+        self.force_solver.begin()
+
+    def iterate(self, rhs, velocity, rtol):
+        """Solve, and set `velocity` in the tube."""
+        self._given = rhs
+        return self.force_solver.iterate(rhs, velocity, rtol, self._slope)
+
+    def finish(self, velocity, pressure):
+        """Set `velocity` and `pressure`."""
+        rest, forces = self._rest, self.force_solver
+        forces.finish(self._given, velocity)
+        self.solver.fluid.matrix.mult(velocity, rest)
+        rest.aypx(-1.0, self._given)
+        self.condensation.add(rest, tube=-forces.block.spread(forces.force))
+        self.stokes.pressure(rest, pressure)
+        self._factored = False
+
+    def respond(self, force, velocity):
+        """Set `velocity` to what the force and the walls cause without membrane."""
+        flux, fluid = self.solver.flux, self.solver.fluid
+        if flux is None:
+            self.stokes.respond(force, velocity)
+            return
+        if self._lift is None:
+            self._lift, self._lift_force = force.duplicate(), force.duplicate()
+            self.stokes.lift(flux, self._lift)
+        if self._lift_interval != fluid.interval:
+            self._lift_interval = fluid.interval
+            fluid.matrix.mult(self._lift, self._lift_force)
+        force.copy(self._rest)
+        self._rest.axpy(-1.0, self._lift_force)
+        self.stokes.respond(self._rest, velocity)
+        velocity.axpy(1.0, self._lift)
+
+    def window(self, faces):
+        """The answer to forces on some faces, restricted to them."""
+        return self.stokes.window(faces)
+
+    def view(self, pc, viewer):
+        """Say what solves the fluid's system."""
+        self.stokes.view(pc, viewer)
 
     def destroy(self):
-        """Free the solver.  Collective."""
-        self._release()
-        for part in (self.skeleton, self.ksp, self._operator, self.pair, self.layout,
-                     self._condensed, *self._force, *self._found, self._rhs, self._solution):
-            if part is not None:
-                part.destroy()
+        """Free vectors.  Collective."""
+        self.leave_tube()
+        self.force_solver.destroy()
+        for vector in (self._rest, self._slope, self._lift, self._lift_force):
+            if vector is not None:
+                vector.destroy()

@@ -15,7 +15,6 @@ import numpy as np
 from petsc4py import PETSc
 
 from ..fluid.operators import assemble
-from .block import ForceSystem
 from .cholesky import Cholesky
 
 
@@ -93,85 +92,69 @@ def divergence_free_basis(tube):
     return assemble(PETSc.COMM_SELF, (len(columns), corners + len(paths)), columns, values)
 
 
-class TubeStream:
+class TubePressure:
+    """The pressures that belong to velocities in the tube, on rank 0.
+
+    Parameters
+    ----------
+    gradient : PETSc.Mat
+        From the tube's inner cells to its faces (sequential).
+    prefix : str
+        Options prefix of the Cholesky factorisation.
+    """
+
+    def __init__(self, gradient, prefix):
+        self.gradient = gradient
+        self.cholesky = Cholesky(prefix)
+        self.cholesky.factor(gradient.transposeMatMult(gradient))
+        self._slope, self._rest = gradient.createVecs()
+
+    def solve(self, rest):
+        """Pressures whose gradient is the array `rest` on the faces."""
+        self._rest.getArray()[:] = rest
+        self.gradient.multTranspose(self._rest, self._slope)
+        return self.cholesky.solve(self._slope.getArray(readonly=True))
+
+    def destroy(self):
+        """Free the factor."""
+        self.cholesky.destroy()
+
+
+class TubeSaddle:
     """Direct solver of the tube's block of the coupled system, on rank 0.
 
     Parameters
     ----------
-    tube : Tube
-    block : TubeBlock
-        The momentum matrix among the tube's faces.
+    direct : TubeDirect
+        Of the velocities without divergence.
     gradient : PETSc.Mat
-        The gradient from the tube's inner cells to its faces (sequential).
+        As for `TubePressure`.
     prefix : str
-        Options prefix of the Cholesky factorisations.
+        Options prefix of the Cholesky factorisation for the pressure.
     """
 
-    def __init__(self, tube, block, gradient, prefix):
-        self.block, self.gradient = block, gradient
-        self.count = len(tube.faces) + len(tube.cells)
-        self.velocity = ForceSystem(prefix)
-        self.pressure = Cholesky(prefix)
-        self._forces = None
-        if not block.size:
-            return
-        self.basis = divergence_free_basis(tube)
-        self.velocity.set_fluid(block.fluid.ptap(self.basis))
-        self.move(tube)
-        self.pressure.factor(gradient.transposeMatMult(gradient))
-        self._psi, self._w = self.basis.createVecs()
-
-    def move(self, tube):
-        """Take new positions of the markers in a tube of the same faces."""
-        if self.block.size:
-            self.block.move(tube)
-            self._projected_interpolation = self.block.interpolation.matMult(self.basis)
-            self._forces = None
-
-    def factor(self, stiffness, scale):
-        """Factor for a membrane stiffness W; `scale` is the factor of J^T W J."""
-        self.block.set(stiffness, scale)
-        if not self.block.size:
-            return
-        self._forces = self.block.root.matMult(
-            self._projected_interpolation, result=self._forces
-        )
-        self.velocity.factor(self._forces)
+    def __init__(self, direct, gradient, prefix):
+        self.direct = direct
+        self.faces, self.cells = gradient.getSize()
+        self.pressure = TubePressure(gradient, prefix) if self.faces else None
 
     def solve(self, rhs):
         """Velocities for the array r on the faces, zeros in place of pressures.
 
         Entries of `rhs` on cells must be zero; they are not read.
         """
-        answer = np.zeros(self.count)
-        faces = self.block.size
-        if faces:
-            answer[:faces] = self._solve(rhs[:faces])[1]
-        return answer
-
-    def _solve(self, rhs):
-        """Membrane forces f = B w and velocities w."""
-        self._w.getArray()[:] = rhs
-        self.basis.multTranspose(self._w, self._psi)
-        no_force = np.zeros(self.velocity.count)
-        force, psi = self.velocity.solve(no_force, self._psi.getArray(readonly=True))
-        self._psi.getArray()[:] = psi
-        self.basis.mult(self._psi, self._w)
-        return force, self._w.getArray(readonly=True).copy()
+        return np.concatenate((self.direct.solve(rhs[: self.faces]), np.zeros(self.cells)))
 
     def solve_with_pressure(self, rhs):
         """Velocities and pressures for the array r on the faces."""
-        answer = np.zeros(self.count)
-        faces = self.block.size
-        if faces:
-            force, answer[:faces] = self._solve(rhs[:faces])
-            self._w.getArray()[:] = rhs[:faces] - self.block.multiply(answer[:faces], force)
-            slope = self.gradient.createVecRight()
-            self.gradient.multTranspose(self._w, slope)
-            answer[faces:] = self.pressure.solve(slope.getArray(readonly=True))
-        return answer
+        if not self.faces:
+            return np.empty(0)
+        rhs = rhs[: self.faces]
+        force, velocity = self.direct.solve_forces(rhs)
+        rest = rhs - self.direct.block.multiply(velocity, force)
+        return np.concatenate((velocity, self.pressure.solve(rest)))
 
     def destroy(self):
-        """Free the factors."""
-        self.velocity.destroy()
-        self.pressure.destroy()
+        """Free the factor of the pressure."""
+        if self.pressure:
+            self.pressure.destroy()

@@ -230,7 +230,7 @@ class SpectralSolver:
 
 
 def use(prefix, preconditioner, alone):
-    """Put a preconditioner of this module under a solver, unless the user has chosen another.
+    """Put a fast direct solver under a solver, unless the user has chosen another.
 
     Parameters
     ----------
@@ -238,12 +238,12 @@ def use(prefix, preconditioner, alone):
         Options prefix of the solver.
     preconditioner : type
     alone : bool
-        Whether it inverts the whole system, so that no iteration is needed.
+        Whether it inverts the whole system, so that no iteration is needed; else conjugate
+        gradients find the membrane's force (see `force`).
     """
     if not PETSc.Options(prefix).hasName("pc_type"):
-        if alone:
-            krylov.set_defaults(prefix, {"ksp_type": "preonly"})
-        name = f"{__name__}.{preconditioner.__name__}"
+        krylov.set_defaults(prefix, {"ksp_type": "preonly" if alone else "cg"})
+        name = f"{preconditioner.__module__}.{preconditioner.__name__}"
         krylov.set_defaults(prefix, {"pc_type": "python", "pc_python_type": name})
 
 
@@ -253,7 +253,8 @@ def attribute(matrix, name):
     if value is None:
         raise InputError(
             f"a matrix under one of the fast solvers has no {name}: FluidTransform is only for "
-            "rho/dt - mu Laplacian, PoissonTransform for the pressure's Laplacian"
+            "rho/dt - mu Laplacian, PoissonTransform for the pressure's Laplacian, StokesTransform "
+            "for the coupled system"
         )
     return value
 
@@ -282,7 +283,7 @@ class FluidTransform:
         matrix = pc.getOperators()[1]
         coefficients = attribute(matrix, "coefficients")
         if self._solver is None:
-            grid = attribute(matrix, "grid")
+            self._grid = grid = attribute(matrix, "grid")
             fields = velocity_fields(grid)
             vector = grid.velocity_vector()
             self._solver = SpectralSolver(grid, fields, vector)
@@ -296,9 +297,20 @@ class FluidTransform:
 
     def apply(self, pc, x, y):
         """y = A0^{-1} x."""
-        self._solver.solve(x, y)
+        self.respond(x, y)
+
+    def respond(self, force, velocity):
+        """Set `velocity` to what `force` causes.  Collective."""
+        self._solver.solve(force, velocity)
         # Faces on walls are coupled to no others.
-        y.getArray()[self._walls] = x.getArray(readonly=True)[self._walls] / self._coefficients[0]
+        velocity.getArray()[self._walls] = (
+            force.getArray(readonly=True)[self._walls] / self._coefficients[0])
+
+    def window(self, faces):
+        """The answer to forces on some faces, restricted to them (see `Window`)."""
+        from .window import Window
+
+        return Window(self._grid, *self._coefficients, faces)
 
     def view(self, pc, viewer):
         """Say what it is."""
