@@ -52,10 +52,6 @@ class Settings:
         record = {k: list(v) if isinstance(v, tuple) else v for k, v in self.__dict__.items()}
         return dict(record, given=sorted(self.given))
 
-    def to_text(self):
-        """The options the user gave, name to text: reading it again gives an equal record."""
-        return given_text(self.to_dict())
-
 
 def given_text(record):
     """Option text (name to text) of what the user gave, from a `Settings.to_dict` record."""

@@ -400,8 +400,7 @@ def test_the_record_holds_every_option_and_fits_json():
     assert set(record) == set(options.TABLE) | {"given"}
     assert record["given"] == ["axes", "fft", "ts_dt"]
     assert record["axes"] == [0.3, 0.4]
-    assert given_text(record) == settings.to_text() == {
-        "axes": "0.3,0.4", "fft": "true", "ts_dt": "0.1"}
+    assert given_text(record) == {"axes": "0.3,0.4", "fft": "true", "ts_dt": "0.1"}
     assert options.read(given_text(record)) == settings
 
 
@@ -425,10 +424,9 @@ NUMBER = st.floats(1e-12, 1e12)
 }))
 def test_settings_to_text_and_back(database):
     settings = options.read(database)
-    again = options.read(settings.to_text())
+    again = options.read(given_text(json.loads(json.dumps(settings.to_dict()))))
     assert again == settings
     assert again.given == set(database)
-    assert options.read(given_text(json.loads(json.dumps(settings.to_dict())))) == settings
 
 
 @hypothesis_settings(max_examples=200, deadline=None, derandomize=True, database=None)

@@ -13,7 +13,8 @@ from petscib.fluid.walls import Walls
 from petscib.membrane import geometry
 from petscib.solvers import krylov
 from petscib.solvers.momentum import FluidMatrix
-from petscib.solvers.saddle import CoupledSolver, FluidPair, ForceMethod, PairLayout
+from petscib.solvers.pair import FluidPair, PairLayout
+from petscib.solvers.saddle import CoupledSolver, ForceMethod
 from petscib.solvers.stokes import StokesTransform
 
 TRANSFORM = {

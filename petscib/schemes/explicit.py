@@ -1,12 +1,10 @@
 """The explicit scheme: membrane force at the old time, implicit viscosity, projection."""
 
 from ..events import phase
-from ..solvers.momentum import MomentumSolver
-from .projection import Projection
-from .stage import StageScheme
+from .projection import ProjectionScheme
 
 
-class Explicit(StageScheme):
+class Explicit(ProjectionScheme):
     """EP, the paper's comparison (Hu & Lai, section 4.2).
 
     Parameters
@@ -20,9 +18,7 @@ class Explicit(StageScheme):
     )
 
     def __init__(self, problem):
-        solver = MomentumSolver(problem.operators, problem.rho, problem.mu)
-        super().__init__(problem, 1.0, solver)
-        self.projection = Projection(problem)
+        super().__init__(problem, 1.0)
 
     def set_equations(self, state, dt, interpolation, tangent):
         """rho (u* - u^n) / dt = mu Laplacian u* + F[force^n].  Collective."""
@@ -51,8 +47,3 @@ class Explicit(StageScheme):
             state, dt, intermediate, velocity, pressure, interpolation, tangent, velocity,
             projection=phi, iterations=iterations,
         )
-
-    def destroy(self):
-        """Free the solvers."""
-        super().destroy()
-        self.projection.destroy()

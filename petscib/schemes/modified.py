@@ -1,12 +1,10 @@
 """The modified schemes: stretching advanced by the intermediate velocity, then projection."""
 
 from ..events import phase
-from ..solvers.momentum import MomentumSolver
-from .projection import Projection
-from .stage import StageScheme
+from .projection import ProjectionScheme
 
 
-class Modified(StageScheme):
+class Modified(ProjectionScheme):
     """Modified backward Euler and Crank-Nicolson (Hu & Lai, eqs. 3.19-3.24 and 3.25-3.30).
 
     The stage velocity is made of the intermediate one, w = theta u* + (1 - theta) u^n.
@@ -17,11 +15,6 @@ class Modified(StageScheme):
     theta : float
         1 for backward Euler, 1/2 for Crank-Nicolson.
     """
-
-    def __init__(self, problem, theta):
-        solver = MomentumSolver(problem.operators, problem.rho, problem.mu)
-        super().__init__(problem, theta, solver)
-        self.projection = Projection(problem)
 
     def step(self, state, dt):
         """Take one step from `state`.  Collective.  Returns a Step."""
@@ -49,8 +42,3 @@ class Modified(StageScheme):
             state, dt, stage, velocity, pressure, interpolation, tangent, carrier,
             projection=phi, iterations=iterations,
         )
-
-    def destroy(self):
-        """Free the solvers."""
-        super().destroy()
-        self.projection.destroy()

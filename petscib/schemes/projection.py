@@ -1,7 +1,9 @@
 """The projection of an intermediate velocity onto divergence-free fields."""
 
 from ..events import phase
+from ..solvers.momentum import MomentumSolver
 from ..solvers.poisson import PoissonSolver
+from .stage import StageScheme
 
 
 class Projection:
@@ -56,3 +58,23 @@ class Projection:
     def destroy(self):
         """Free the solver."""
         self.poisson.destroy()
+
+
+class ProjectionScheme(StageScheme):
+    """A scheme that solves for an intermediate velocity, which it then projects.
+
+    Parameters
+    ----------
+    problem : Problem
+    theta : float
+    """
+
+    def __init__(self, problem, theta):
+        solver = MomentumSolver(problem.operators, problem.rho, problem.mu)
+        super().__init__(problem, theta, solver)
+        self.projection = Projection(problem)
+
+    def destroy(self):
+        """Free the solvers."""
+        super().destroy()
+        self.projection.destroy()

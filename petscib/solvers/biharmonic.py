@@ -130,7 +130,8 @@ class Spectrum:
         self._vertical[:, rows] = along @ product.T
         self._solve_walls()
         left = np.concatenate((across, self._vertical[:, rows])).T
-        values -= left @ np.concatenate((self._horizontal[:, columns], along))
+        right = np.concatenate((self._horizontal[:, columns], along))
+        values -= np.matmul(left, right, out=product)
         values *= self._inverse
         transform([basis.inverse], self.axis, self.slabs)
 

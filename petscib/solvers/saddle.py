@@ -8,8 +8,9 @@ from . import krylov
 from .block import TubeBlock, TubeDirect
 from .condensation import Condensation
 from .force import ForceSolver
-from .momentum import FluidMatrix, ImplicitForce, MomentumSolver, tube_blocks
-from .poisson import PoissonSolver
+from .momentum import FluidMatrix, ImplicitForce, tube_blocks
+from .pair import FluidPair, PairLayout
+from .projection import ProjectionPC
 from .stream import TubeSaddle, divergence_free_basis
 from .tube import Tube
 
@@ -19,167 +20,9 @@ DEFAULTS = {
     "ksp_max_it": 200,
     "pc_type": "python",
 }
-INNER_VELOCITY = {"ksp_type": "preonly", "pc_type": "gamg"}
 # Relative change of the membrane's matrix beyond which a factorisation of it is made anew: what a
 # stale one costs in iterations would then be more than what it saves.
 LARGE_DRIFT = 0.01
-INNER_POISSON = {"ksp_type": "preonly", "pc_type": "gamg", "mg_coarse_sub_pc_type": "svd"}
-
-
-class PairLayout:
-    """Vectors that hold on each rank its velocities and then its pressures."""
-
-    def __init__(self, grid):
-        self.comm = grid.comm
-        self.velocity = grid.velocity_vector()
-        self.pressure = grid.pressure_vector()
-        self.count = self.velocity.getLocalSize()
-        sizes = (self.count + self.pressure.getLocalSize(), PETSc.DETERMINE)
-        self.vector = PETSc.Vec().createMPI(sizes, comm=self.comm)
-        self._starts = self.vector.getOwnershipRanges()
-
-    def faces(self, numbers):
-        """Numbers in pair vectors of faces given by their numbers in velocity vectors."""
-        ranges = self.velocity.getOwnershipRanges()
-        rank = np.searchsorted(ranges, numbers, side="right") - 1
-        return numbers - ranges[rank] + self._starts[rank]
-
-    def cells(self, numbers):
-        """Numbers in pair vectors of cells given by their numbers in pressure vectors."""
-        ranges = self.pressure.getOwnershipRanges()
-        faces = np.diff(self.velocity.getOwnershipRanges())
-        rank = np.searchsorted(ranges, numbers, side="right") - 1
-        return numbers - ranges[rank] + self._starts[rank] + faces[rank]
-
-    def joint(self):
-        """A new pair vector, and vectors of its velocities and pressures in the same memory."""
-        values = np.zeros(self.vector.getLocalSize())
-        parts = values, values[: self.count], values[self.count :]
-        return [PETSc.Vec().createWithArray(part, comm=self.comm) for part in parts]
-
-    def split(self, pair, velocity, pressure):
-        """Copy a pair vector's parts.  Not collective."""
-        values = pair.getArray(readonly=True)
-        velocity.getArray()[:] = values[: self.count]
-        pressure.getArray()[:] = values[self.count :]
-
-    def join(self, velocity, pressure, pair):
-        """Set a pair vector from its parts.  Not collective."""
-        values = pair.getArray()
-        values[: self.count] = velocity.getArray(readonly=True)
-        values[self.count :] = pressure.getArray(readonly=True)
-
-    def destroy(self):
-        """Free the vectors.  Collective."""
-        for vector in (self.velocity, self.pressure, self.vector):
-            vector.destroy()
-
-
-class FluidPair:
-    """K0 = [[A0, s G], [s G^T, 0]], the coupled system of the fluid alone.
-
-    The factor s balances the rows; the pressures of the system are p / s.
-
-    Parameters
-    ----------
-    operators : Operators
-    fluid : FluidMatrix
-    layout : PairLayout
-    """
-
-    def __init__(self, operators, fluid, layout):
-        self.grid = operators.grid
-        self.gradient = operators.gradient
-        self.fluid = fluid
-        self.layout = layout
-        self.width = min(operators.grid.dx, operators.grid.dy)
-        self._velocity, self._pressure = operators.grid.velocity_vector(), layout.pressure.copy()
-        self._force, self._source = self._velocity.duplicate(), self._pressure.duplicate()
-
-    @property
-    def scale(self):
-        """The factor s: how a momentum residual answers a velocity error, times its width."""
-        fluid = self.fluid
-        return fluid.rho * self.width / fluid.interval + fluid.mu / self.width
-
-    def mult(self, x, y):
-        """y = K0 x.  Collective."""
-        self.layout.split(x, self._velocity, self._pressure)
-        self._pressure.scale(self.scale)
-        self.fluid.matrix.mult(self._velocity, self._force)
-        self.gradient.multAdd(self._pressure, self._force, self._force)
-        self.gradient.multTranspose(self._velocity, self._source)
-        self._source.scale(self.scale)
-        self.layout.join(self._force, self._source, y)
-
-    def destroy(self):
-        """Free the work vectors.  Collective."""
-        for vector in (self._velocity, self._pressure, self._force, self._source):
-            vector.destroy()
-
-
-class ProjectionPC:
-    """PETSc python PC: K0 solved approximately by the projection method.
-
-    A0 u* = f, then a Poisson problem for the pressure.  Exact in a periodic box with exact inner
-    solvers; walls leave a splitting error that the outer iteration removes.
-
-    Parameters
-    ----------
-    pair : FluidPair
-    velocity : MomentumSolver
-        Without membrane.
-    poisson : PoissonSolver
-
-    """
-
-    def __init__(self, pair, velocity, poisson):
-        self.pair = pair
-        self.velocity_solver = velocity
-        self.poisson_solver = poisson
-        layout = pair.layout
-        self._given, *self._source = layout.joint()
-        self._answer, *self._found = layout.joint()
-        self._slope, self._excess = layout.velocity.duplicate(), layout.pressure.duplicate()
-
-    def setUp(self, pc):
-        """Follow the time step.  Collective."""
-        self.velocity_solver.update(self.pair.fluid.interval)
-
-    def apply(self, pc, x, y):
-        """y = approximately K0^{-1} x.  Collective."""
-        pair, fluid, excess = self.pair, self.pair.fluid, self._excess
-        interval, scale = fluid.interval, pair.scale
-        (force, source), (velocity, pressure) = self._source, self._found
-        x.copy(self._given)
-        velocity.set(0.0)
-        self.velocity_solver.solve(force, velocity)
-
-        # (theta dt) Laplacian phi = div u* less what the source asks for, with div = -G^T
-        pair.gradient.multTranspose(velocity, excess)
-        excess.axpby(1 / (scale * interval), -1 / interval, source)
-        pressure.set(0.0)
-        self.poisson_solver.solve(excess, pressure)
-
-        # u = u* - theta dt grad phi,  p = rho phi - mu (div u* less its source)
-        pair.gradient.mult(pressure, self._slope)
-        velocity.axpy(-interval, self._slope)
-        pressure.axpby(-fluid.mu * interval / scale, fluid.rho / scale, excess)
-        self._answer.copy(y)
-
-    def view(self, pc, viewer):
-        """Show the inner solvers."""
-        self.velocity_solver.ksp.view(viewer)
-        self.poisson_solver.ksp.view(viewer)
-
-    def destroy(self, pc):
-        """Free the inner solvers; PETSc calls this.  Collective."""
-        self.velocity_solver.destroy()
-        self.poisson_solver.destroy()
-        for vector in (*self._source, *self._found, self._given, self._answer):
-            vector.destroy()
-        self._slope.destroy()
-        self._excess.destroy()
 
 
 class CoupledSolver:
@@ -211,20 +54,14 @@ class CoupledSolver:
         self.prefix = prefix
         self.flux = operators.wall_flux
         self.layout = PairLayout(self.grid)
-        self._operator = krylov.Operator(self.layout.vector)
-        self.ksp = krylov.create(self._operator.matrix, prefix, DEFAULTS)
-        pc = self.ksp.getPC()
-        project = pc.getType() == "python" and pc.getPythonContext() is None
-        if project:
-            velocity = MomentumSolver(operators, rho, mu, prefix + "velocity_", INNER_VELOCITY)
-            poisson = PoissonSolver(operators, prefix + "poisson_", INNER_POISSON)
-            self.fluid = velocity.fluid
-        else:
-            self.fluid = FluidMatrix(operators, rho, mu)
+        self.fluid = FluidMatrix(operators, rho, mu)
         self.pair = FluidPair(operators, self.fluid, self.layout)
-        self._operator.matrix.setAttr("pair", self.pair)  # for StokesTransform
-        if project:
-            pc.setPythonContext(ProjectionPC(self.pair, velocity, poisson))
+        self.operator = krylov.Operator(self.layout.vector)
+        self.operator.matrix.setAttr("pair", self.pair)  # for StokesTransform
+        self.ksp = krylov.create(self.operator.matrix, prefix, DEFAULTS)
+        pc = self.ksp.getPC()
+        if pc.getType() == "python" and pc.getPythonContext() is None:
+            pc.setPythonContext(ProjectionPC(self.pair, operators, prefix))
         self.direct = self._tube = self._interpolation = self._method = None
 
     def update(self, interval, interpolation=None, stiffness=None):
@@ -234,7 +71,7 @@ class CoupledSolver:
         """
         changed = self.fluid.update(interval)
         if changed or interpolation is None:
-            self._operator.act_as(self.pair)
+            self.operator.act_as(self.pair)
             self.ksp.getPC().setUp()
         if self._method is None:
             forces = interpolation is not None and krylov.has_exact_preconditioner(self.ksp)
@@ -320,7 +157,7 @@ class CoupledSolver:
 
     def destroy(self):
         """Free the solver.  Collective."""
-        for part in (self._method, self.direct, self.ksp, self._operator, self.pair, self.layout):
+        for part in (self._method, self.direct, self.ksp, self.operator, self.pair, self.layout):
             if part is not None:
                 part.destroy()
 
@@ -374,7 +211,7 @@ class CondensedMethod:
     def take_stiffness(self):
         """Follow a new stiffness of the membrane."""
         self.solver.direct.factor()
-        self.solver._operator.act_as(self.condensation)
+        self.solver.operator.act_as(self.condensation)
 
     def begin(self, velocity, pressure):
         """Take first guesses."""
