@@ -14,7 +14,7 @@ from .stage import StageScheme
 # would lose its way in their noise at large time steps.
 INNER_FRACTION = 0.005
 LAST_FRACTION = 0.1
-ANDERSON_DEPTH = 5
+ANDERSON_DEPTH = 30
 
 
 class Geometric(StageScheme):
