@@ -1,8 +1,9 @@
 """Benchmark: seconds, iterations and memory of a step, beside what else could be done.
 
 The vesicle (0.1, 0.5) in fluid at rest, dt = h, scheme mbe: by GAMG and by transforms, on 1 and 2
-ranks.  Beside it the same step with plain CG and GAMG on the assembled matrix, one fast solve of
-the fluid's matrix (the floor), scipy's sparse LU, and the explicit scheme (Hu & Lai, Table 3).
+ranks.  Beside it the same step with plain CG and GAMG on the assembled matrix, with other multigrid
+than ours, by the coupled schemes; one fast solve of the fluid's matrix (the floor), scipy's sparse
+LU, and the explicit scheme (Hu & Lai, Table 3).
 All is measured anew at each call, since only ratios from one run mean something on a busy machine.
 """
 
@@ -21,6 +22,16 @@ from .runs import Run
 STIFFNESSES = 1e5, 1e9
 RANKS = 1, 2
 SOLVERS = {"GAMG": {}, "fft": {"fft": True}}
+COUPLED = "be", "gbe", "gcn"
+# Other choices for both solvers: option names without prefix.
+MULTIGRIDS = {
+    "GAMG, SOR": {"mg_levels_ksp_type": "richardson", "mg_levels_ksp_max_it": 1,
+                  "mg_levels_pc_type": "sor"},
+    "GAMG, one sweep": {"mg_levels_ksp_max_it": 1},
+    "GAMG, three sweeps": {"mg_levels_ksp_max_it": 3},
+    "GAMG, threshold 0.02": {"pc_gamg_threshold": 0.02},
+    "BoomerAMG": {"pc_type": "hypre"},
+}
 PLAIN = "plain CG+GAMG"
 PLAIN_ITERATIONS = 2000
 WARM_UP = 2
@@ -76,23 +87,26 @@ class Case:
         if self.solver == PLAIN:
             steps = WARM_UP + 1
             plain = {"momentum_condense": False, "momentum_ksp_max_it": PLAIN_ITERATIONS}
+        other = {f"{prefix}_{name}": value for prefix in ("momentum", "poisson")
+                 for name, value in MULTIGRIDS.get(self.solver, {}).items()}
         return dict(
             scene="stiff", scheme=self.scheme, sigma0=self.sigma0, stag_grid_x=self.cells,
             ts_dt=dt, ts_max_time=1e3, ts_max_steps=steps, warm_up=WARM_UP,
-            direct=self.direct, **plain, **SOLVERS.get(self.solver, {}))
+            direct=self.direct, **plain, **other, **SOLVERS.get(self.solver, {}))
 
 
 def main(arguments=None):
     """Run the benchmark."""
     bench = Campaign.from_command_line("bench", __doc__.splitlines()[0], arguments)
     if bench.quick:
-        study(bench, (64, 128), most_plain=128, most_direct=128, explicit=(128,), geometric=(128,))
+        study(bench, (64, 128), most_plain=128, most_direct=128, explicit=(128,), coupled=(128,),
+              multigrid=(64,))
     else:
         study(bench, (64, 128, 256, 512, 1024), most_plain=256, most_direct=512,
-              explicit=(128, 256, 512), geometric=(512,))
+              explicit=(128, 256, 512), coupled=(128, 512, 1024), multigrid=(256,))
 
 
-def study(bench, cells, most_plain, most_direct, explicit, geometric):
+def study(bench, cells, most_plain, most_direct, explicit, coupled, multigrid):
     """Make the runs and the results; returns the records.
 
     Parameters
@@ -101,8 +115,8 @@ def study(bench, cells, most_plain, most_direct, explicit, geometric):
     cells : tuple of int
     most_plain, most_direct : int
         Largest grids for plain CG and GAMG, and for scipy's LU.
-    explicit, geometric : tuple of int
-        Grids for schemes ep and gbe.
+    explicit, coupled, multigrid : tuple of int
+        Grids for scheme ep, for the coupled schemes, and for other multigrid than ours.
     """
     cases = []
     for count in cells:
@@ -115,7 +129,10 @@ def study(bench, cells, most_plain, most_direct, explicit, geometric):
             ]
             if count <= most_plain:
                 cases.append(Case(PLAIN, count, sigma0))
-        cases += [Case("fft", count, 1e9, scheme="gbe")] if count in geometric else []
+        if count in multigrid:
+            cases += [Case(solver, count, 1e9) for solver in MULTIGRIDS]
+        if count in coupled:
+            cases += [Case("fft", count, 1e9, scheme=scheme) for scheme in COUPLED]
         cases += [Case("fft", count, 1e9, scheme="ep")] if count in explicit else []
     records = {
         case: measure(bench, case, f"{number}/{len(cases)}")
@@ -209,7 +226,7 @@ def _steps_table(records):
             f"{record['peak_memory_bytes'] / 1e6:.0f}", f"{record['bytes_per_cell']:.0f}"])
     return (
         f"Medians over the steps after the first {WARM_UP}; milliseconds. Iterations: momentum + "
-        "Poisson (mbe, ep), coupled + tangent (gbe). Fluid: CG or FGMRES with its "
+        "Poisson (mbe, ep), coupled (be), coupled + tangent (gbe, gcn). Fluid: CG or FGMRES with its "
         "preconditioner. Rest: interpolation, forces, diagnostics, output. Times faster: by the "
         "fastest steps, as other work on the machine only adds time. Memory: most that all ranks "
         "held, interpreter and libraries (some 100 MB a rank) included. "

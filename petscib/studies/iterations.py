@@ -2,7 +2,8 @@
 
 An ellipse (0.1, 0.5) at rest, dt = h, tolerance 1e-6: conjugate gradients on the momentum system
 (scheme mbe) preconditioned by one GAMG V-cycle or by transforms; the same on the assembled matrix
-without condensation; FGMRES on the coupled system (scheme be).
+without condensation; on the coupled system (scheme be) FGMRES, preconditioned by the projection
+method with GAMG, and conjugate gradients with transforms.
 """
 
 import sys
