@@ -1,5 +1,7 @@
 """Interpolation of grid velocity to the markers, and its adjoint, spreading."""
 
+from copy import copy
+
 import numpy as np
 from petsc4py import PETSc
 
@@ -32,6 +34,13 @@ class Stencil:
         across = (kernel.across, kernel.across_radius)
         self.u = self._product(self._line(y - 0.5, *across), self._line(x, *along))
         self.v = self._product(self._line(y, *along), self._line(x - 0.5, *across))
+
+    def select(self, markers):
+        """The stencil of some markers, given by their numbers."""
+        part = copy(self)
+        part.positions = self.positions[markers]
+        part.u, part.v = (tuple(array[markers] for array in one) for one in (self.u, self.v))
+        return part
 
     @staticmethod
     def _line(position, weight, radius):

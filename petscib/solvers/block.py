@@ -30,35 +30,40 @@ def upper_part(matrix):
 
 
 class TubeBlock:
-    """A0 and B among the faces of a tube, on rank 0.
+    """B, and A0 if it is wanted, among the faces of a tube.  Not collective.
 
     Parameters
     ----------
     tube : Tube
-    fluid : PETSc.Mat
+    fluid : PETSc.Mat, optional
         A0_tt (sequential).
+
+    Attributes
+    ----------
+    root : PETSc.Mat
+        (theta dt ds / (dx dy))^{1/2} C (sequential).
+    positions : ndarray, shape (markers, 2)
+        Of the markers, in cells.
     """
 
-    def __init__(self, tube, fluid):
+    def __init__(self, tube, fluid=None):
         self.size = len(tube.faces)
         self.fluid = fluid
-        self.root = None  # (theta dt ds / (dx dy))^{1/2} C
+        self.root = None
         if self.size:
             self.move(tube)
             self._face, self._marker = self.interpolation.createVecs()
-            self._fluid_force = self._face.duplicate()
 
     def move(self, tube):
         """Take new positions of the markers in a tube of the same faces."""
         self.interpolation = tube.interpolation()
         self.positions = tube.stencil.positions
 
-    def set(self, stiffness, scale):
-        """Take a membrane stiffness W and the factor of J^T W J."""
+    def set(self, root):
+        """Take the membrane's stiffness."""
         if self.size:
-            self.root = stiffness.root()
-            self.root.scale(np.sqrt(scale))
-            self._force = self.root.createVecLeft()
+            self.root = root
+            self._force = root.createVecLeft()
 
     def forces_of(self, velocity):
         """B w for an array w over the faces."""
@@ -81,9 +86,10 @@ class TubeBlock:
     def multiply(self, velocity, force):
         """A0 w + B^T f for arrays w over the faces and f."""
         spread = self.spread(force)
+        product = self.fluid.createVecLeft()
         self._face.getArray()[:] = velocity
-        self.fluid.mult(self._face, self._fluid_force)
-        return self._fluid_force.getArray(readonly=True) + spread
+        self.fluid.mult(self._face, product)
+        return product.getArray(readonly=True) + spread
 
 
 class ForceSystem:
@@ -154,10 +160,9 @@ class ForceSystem:
                 break
         return answer[: self.count], velocity
 
-    def answer(self, force, rest):
-        """The pair f, w for right-hand sides g, r, without refinement.  New arrays."""
-        answer = self.cholesky.solve(np.concatenate((force, rest)))
-        return answer[: self.count], answer[self.count :]
+    def force(self, force, rest):
+        """f alone, for right-hand sides g, r, without refinement."""
+        return self.cholesky.solve(np.concatenate((force, rest)))[: self.count]
 
     def _release(self):
         if self._matrix is not None:
@@ -171,9 +176,9 @@ class ForceSystem:
 
 
 class TubeDirect:
-    """Direct solver of the tube's block, on rank 0.
+    """Direct solver of a tube's block.
 
-    On the other ranks right-hand sides and answers are empty.
+    Lives on one rank; not collective.  Where the tube is empty, so are all arrays.
 
     Parameters
     ----------
@@ -187,11 +192,9 @@ class TubeDirect:
         The velocities are sought among the combinations of its columns; None: among all.
     """
 
-    basis = None
-
     def __init__(self, prefix):
         self.system = ForceSystem(prefix)
-        self._forces = None
+        self.block = self.basis = self._forces = None
 
     def set_block(self, block, basis=None):
         """Take a new tube's block."""
@@ -260,22 +263,14 @@ class TubeDirect:
         """Membrane forces f = B A_tt^{-1} rhs as a new array, without refinement."""
         if not self.block.size:
             return np.empty(0)
-        return self.system.answer(np.zeros(self.system.count), self._restrict(rhs))[0]
+        return self.system.force(np.zeros(self.system.count), self._restrict(rhs))
 
     def precondition(self, velocity):
         """(1 + B A0_tt^{-1} B^T)^{-1} times the array `velocity`."""
-        return -self._excite(velocity)[0] if self.block.size else np.empty(0)
-
-    def correction(self, defect):
-        """Changes of f and w, without force on the fluid, by which B w - f grows by `defect`."""
         if not self.block.size:
-            return np.empty(0), np.empty(0)
-        force, values = self._excite(defect)
-        return force, self._extend(values)
-
-    def _excite(self, force):
+            return np.empty(0)
         size = self.basis.getSize()[1] if self.basis is not None else self.block.size
-        return self.system.answer(force, np.zeros(size))
+        return -self.system.force(velocity, np.zeros(size))
 
     def destroy(self):
         """Free the factor."""

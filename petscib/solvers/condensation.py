@@ -21,18 +21,71 @@ from petsc4py import PETSc
 from ..events import phase
 
 
-class Condensation:
+class TubeAccess:
+    """Reads and writes the entries of distributed vectors in a tube and its shell.
+
+    Parameters
+    ----------
+    vector : PETSc.Vec
+        Any vector of the system's layout.
+    tube, shell : ndarray of int
+        PETSc numbers of the tube's unknowns and of others around it, where arrays of their values
+        live: on rank 0, unless stated otherwise, and empty elsewhere.
+    """
+
+    def __init__(self, vector, tube, shell=()):
+        self.count = len(tube)
+        numbers = np.concatenate((tube, shell)).astype(PETSc.IntType)
+        self._local = PETSc.Vec().createSeq(len(numbers), comm=PETSc.COMM_SELF)
+        index = PETSc.IS().createGeneral(numbers, comm=PETSc.COMM_SELF)
+        self._scatter = PETSc.Scatter().create(vector, index, self._local, None)
+
+    def _gather(self, vector):
+        self._scatter.scatter(vector, self._local, PETSc.InsertMode.INSERT_VALUES)
+        return self._local.getArray()
+
+    def _return(self, vector):
+        self._scatter.scatter(
+            self._local, vector, PETSc.InsertMode.INSERT_VALUES, PETSc.ScatterMode.REVERSE
+        )
+
+    def from_tube(self, vector):
+        """Entries of `vector` in the tube as a new array.  Collective."""
+        return self._gather(vector)[: self.count].copy()
+
+    def from_shell(self, vector):
+        """Entries of `vector` in the shell as a new array.  Collective."""
+        return self._gather(vector)[self.count :].copy()
+
+    def set_tube(self, values, vector):
+        """Set the tube's entries of `vector` from an array.  Collective."""
+        self._gather(vector)[: self.count] = values
+        self._return(vector)
+
+    def add_tube(self, values, vector):
+        """Add an array over the tube to the entries of `vector`.  Collective."""
+        local = self._local.getArray()
+        local[: self.count] = values
+        local[self.count :] = 0.0
+        self._scatter.scatter(
+            self._local, vector, PETSc.InsertMode.ADD_VALUES, PETSc.ScatterMode.REVERSE
+        )
+
+    def destroy(self):
+        """Free scatter and work vector.  Collective."""
+        self._scatter.destroy()
+        self._local.destroy()
+
+
+class Condensation(TubeAccess):
     """The condensed operator S, its right-hand side and the recovery.
 
     Parameters
     ----------
     multiply : callable
         Takes vectors x, y and sets y = K0 x, the fluid operator.  Collective.
-    vector : PETSc.Vec
-        Any vector of the system's layout, kept as long as this.
-    tube, shell : ndarray of int
-        PETSc numbers, on rank 0 (empty elsewhere), of the tube's unknowns and of those outside
-        that K couples to them.
+    vector, tube, shell
+        As for `TubeAccess`; the shell has the unknowns that K couples to the tube.
     couplings : list of PETSc.Mat
         K_ts on rank 0 (sequential), in column blocks in the order of `shell`.
     solve_tube : callable
@@ -45,16 +98,11 @@ class Condensation:
     def __init__(
         self, multiply, vector, tube, shell, couplings, solve_tube, complete_tube=None
     ):
+        super().__init__(vector, tube, shell)
         self.multiply = multiply
-        self.count = len(tube)
         self._couplings = [(matrix, *matrix.createVecs()) for matrix in couplings]
         self.solve_tube = solve_tube
         self.complete_tube = complete_tube or solve_tube
-        numbers = np.concatenate((tube, shell)).astype(PETSc.IntType)
-        self._local = PETSc.Vec().createSeq(len(numbers), comm=PETSc.COMM_SELF)
-        self.local_size = len(numbers)
-        index = PETSc.IS().createGeneral(numbers, comm=PETSc.COMM_SELF)
-        self._scatter = PETSc.Scatter().create(vector, index, self._local, None)
         self._vector = vector
         self._work = self._mine = None
 
@@ -67,16 +115,7 @@ class Condensation:
         self._return(self._work)
         self._mine = np.flatnonzero(self._work.getArray(readonly=True))
 
-    def _gather(self, vector):
-        self._scatter.scatter(vector, self._local, PETSc.InsertMode.INSERT_VALUES)
-        return self._local.getArray()
-
-    def _return(self, vector):
-        self._scatter.scatter(
-            self._local, vector, PETSc.InsertMode.INSERT_VALUES, PETSc.ScatterMode.REVERSE
-        )
-
-    def from_shell(self, values):
+    def _times_shell(self, values):
         """K_ts times an array over the shell."""
         result = np.zeros(self.count)
         start = 0
@@ -88,7 +127,7 @@ class Condensation:
             start = stop
         return result
 
-    def to_shell(self, values):
+    def _times_tube(self, values):
         """K_st times an array over the tube."""
         parts = [np.empty(0)]
         for matrix, outside, inside in self._couplings:
@@ -103,7 +142,7 @@ class Condensation:
             self._prepare_products()
         local = self._gather(x)
         with phase("tube solve"):
-            local[: self.count] = -self.solve_tube(self.from_shell(local[self.count :]))
+            local[: self.count] = -self.solve_tube(self._times_shell(local[self.count :]))
         x.copy(self._work)
         self._return(self._work)
         self.multiply(self._work, y)
@@ -115,46 +154,19 @@ class Condensation:
         with phase("tube solve"):
             inner = self.solve_tube(local[: self.count])
         local[: self.count] = 0.0
-        local[self.count :] -= self.to_shell(inner)
+        local[self.count :] -= self._times_tube(inner)
         rhs.copy(condensed)
         self._return(condensed)
 
-    def tube_rhs(self, rhs, solution):
-        """b_t - K_te x_e as a new array on rank 0.  Collective."""
-        inner = self.from_tube(rhs)
-        return inner - self.from_shell(self._gather(solution)[self.count :])
-
     def recover(self, rhs, solution):
         """Set the tube's entries of `solution` from the others.  Collective."""
-        rest = self.tube_rhs(rhs, solution)
+        rest = self.from_tube(rhs) - self._times_shell(self.from_shell(solution))
         with phase("tube solve"):
             self._local.getArray()[: self.count] = self.complete_tube(rest)
         self._return(solution)
 
-    def from_tube(self, vector):
-        """Entries of `vector` in the tube as a new array on rank 0.  Collective."""
-        return self._gather(vector)[: self.count].copy()
-
-    def gather(self, vector):
-        """Entries of `vector` in tube and shell as a new array on rank 0.  Collective."""
-        return self._gather(vector).copy()
-
-    def set_tube(self, values, vector):
-        """Set the tube's entries of `vector` from an array on rank 0.  Collective."""
-        self._gather(vector)[: self.count] = values
-        self._return(vector)
-
-    def add(self, vector, tube=0.0, shell=0.0):
-        """Add arrays over tube and shell, on rank 0, to the entries of `vector`.  Collective."""
-        local = self._local.getArray()
-        local[: self.count] = tube
-        local[self.count :] = shell
-        self._scatter.scatter(
-            self._local, vector, PETSc.InsertMode.ADD_VALUES, PETSc.ScatterMode.REVERSE
-        )
-
     def destroy(self):
-        """Free the scatter and the work vector.  Collective."""
-        self._scatter.destroy()
+        """Free scatter and work vectors.  Collective."""
+        super().destroy()
         if self._work is not None:
             self._work.destroy()

@@ -11,24 +11,24 @@ so that
 For the coupled system H takes forces to velocities without divergence; the pressure follows from
 them.  The matrix is symmetric positive definite, has a few rows a marker, and does not grow with
 the stiffness.  Its products need H near the membrane only (a *window*).  The preconditioner is the
-same matrix with the tube in place of the box, which the tube's factorisation gives.  Together they
-have the same eigenvalues other than one as the condensed operator (see `condensation`)
-preconditioned by the fluid's inverse, hence the same iterations, but the whole grid is solved only
-twice.
+same matrix with the tube in place of the box, which the tube's factorisation gives; on several
+ranks, an arc of it each (see `arcs`).  On one rank, the two have together the same eigenvalues
+other than one as the condensed operator (see `condensation`) preconditioned by the fluid's inverse,
+hence the same iterations, but the whole grid is solved only twice.
 
 The measure of convergence is what the force f_0, which would act if the velocities around the
 tube were zero, leaves over: else it would be the balance of large forces, which the tube settles by
 itself.
-
-At the end, the velocities in the tube and the force are corrected together so that f = B u there
-holds to round-off, with the surroundings as they are.
 """
 
 import numpy as np
 from petsc4py import PETSc
 
-from ..events import phase
 from . import krylov
+from .arcs import TubeArcs
+from .block import TubeBlock
+from .condensation import TubeAccess
+from .tube import Tube
 
 
 class ForceSolver:
@@ -36,58 +36,83 @@ class ForceSolver:
 
     Solves with the membrane in almost the same place belong together::
 
+        solver.update(interpolation, force, changed)
         solver.begin()
+        solver.iterate(rhs, velocity)
         for ...:
+            solver.update(interpolation, force, changed)
             solver.iterate(rhs, velocity)
         solver.finish(rhs, velocity)
 
-    Between them the block and the right-hand side may change within the tube, and the
-    factorisation may stay that of an earlier block: it only preconditions.
+    Between them the right-hand side may change within the tube.
 
     Parameters
     ----------
+    grid : Grid
+    fluid : FluidMatrix
     response
         H: its method `respond(force, velocity)` on the whole grid, and `window(faces)`, as those of
         `FluidTransform`.
-    vector : PETSc.Vec
-        Any velocity vector.
     prefix : str
-        Options prefix of the iteration.
+        Options prefix of the iteration; the tube's direct solvers have <prefix>tube_.
     defaults : dict
         Solver options unless given.
     what : str
         Which solve it is, for messages.
+    layers : int
+        Layers of faces in the tube beyond those that the markers see.
+    solenoidal : bool
+        Whether the velocities are without divergence.
     """
 
-    def __init__(self, response, vector, prefix, defaults, what):
-        self.response = response
+    def __init__(self, grid, fluid, response, prefix, defaults, what, layers, solenoidal):
+        self.grid, self.response = grid, response
         self.prefix, self.defaults, self.what = prefix, defaults, what
-        self.ksp = self.window = None
-        self._rhs = vector.duplicate()
+        self.layers = layers
+        self._rhs = grid.velocity_vector()
+        self.arcs = TubeArcs(grid, fluid, self._rhs, prefix + "tube_", layers, solenoidal)
+        self.ksp = self.window = self.block = self._tube = self._interpolation = None
         self.begin()
 
-    def set_tube(self, tube, direct, condensation):
-        """Take a new tube.
+    def update(self, interpolation, force, changed):
+        """Set the system for the membrane's present configuration.
 
         Parameters
         ----------
-        tube : Tube
-        direct : TubeDirect
-            Factored.
-        condensation : Condensation
-            Of the velocities.
+        interpolation : Interpolation
+            With that of the last call, only the stiffness is taken anew.
+        force : ImplicitForce
+        changed : bool
+            Whether the fluid matrix has.
         """
-        self.release()
-        self.block, self.direct, self.condensation = direct.block, direct, condensation
-        self.window = self.response.window(tube.face_positions())
+        if interpolation is not self._interpolation:
+            self._place(interpolation.stencil, changed)
+            self._interpolation = interpolation
+        root = force.root()
+        self.block.set(root)
         if self.ksp is None:
-            self._create()
-        self.begin()
+            self._create(root.getSize()[0] if self.block.size else 0)
+        self.arcs.set_root(root, self._residual)
+        self.arcs.factor()
 
-    def _create(self):
-        count = self.block.root.getSize()[0] if self.block.size else 0
-        comm = self._rhs.comm
-        self._residual = PETSc.Vec().createMPI((count, PETSc.DETERMINE), comm=comm)
+    def _place(self, stencil, changed):
+        """Take new positions of the markers: as a rule, they are still in the same tube."""
+        tube = Tube(self.grid, stencil, self.layers)
+        same = not changed and self._tube is not None and tube.has_faces_of(self._tube)
+        if self.grid.comm.tompi4py().bcast(same):
+            if self.block.size:
+                self.block.move(tube)
+        else:
+            self._release()
+            self.block = TubeBlock(tube)
+            self.access = TubeAccess(self._rhs, tube.faces)
+            self.window = self.response.window(tube.face_positions())
+            self.begin()
+        self.arcs.place(stencil, tube, changed)
+        self._tube = tube
+
+    def _create(self, count):
+        self._residual = PETSc.Vec().createMPI((count, PETSc.DETERMINE), comm=self.grid.comm)
         self._change = self._residual.duplicate()
         self._operator = krylov.Operator(self._residual)
         self._operator.act_as(self)
@@ -132,7 +157,7 @@ class ForceSolver:
         slope : PETSc.Vec, optional
             Part of the right-hand side that, at the first guess, a pressure balances.
         """
-        block, force = self.block, self.condensation.from_tube(rhs)
+        block, force = self.block, self.access.from_tube(rhs)
         if not self._started:
             self._start(rhs, force, velocity, slope)
         near = self._near + self._respond_near(
@@ -148,28 +173,22 @@ class ForceSolver:
             )
         change = self._change.getArray(readonly=True)
         self.force += change
-        near -= self._caused(change)
-        # What is left of the residual goes into the velocities only: put into the force as well, it
-        # would be a step of an iteration that need not converge.
-        _, shift = self._correction(near)
-        self.condensation.set_tube(near + shift, velocity)
+        self.access.set_tube(near - self._caused(change), velocity)
         return iterations
 
     def _start(self, rhs, force, velocity, slope):
         """Solve with the force f_0, and take the guessed one."""
-        block, direct, outer = self.block, self.direct, self.condensation
-        rest = outer.tube_rhs(rhs, velocity)
-        if slope is not None:
-            rest -= outer.from_tube(slope)
-        with phase("tube solve"):
-            base = direct.force(force)
-            self.force = direct.force(rest)
+        block, part = self.block, self._change
+        self.arcs.forces(rhs, part, velocity, slope)
+        self.force = part.getArray(readonly=True).copy()
+        self.arcs.forces(rhs, part)
+        base = part.getArray(readonly=True)
         spread = block.spread(base)
         self._given = force - spread
         rhs.copy(self._rhs)
-        outer.add(self._rhs, tube=-spread)
+        self.access.add_tube(-spread, self._rhs)
         self.response.respond(self._rhs, velocity)
-        self._near = outer.from_tube(velocity)
+        self._near = self.access.from_tube(velocity)
         self._residual.getArray()[:] = block.forces_of(self._near) - base
         self._norm = self._measure(self._residual)
         self._started = True
@@ -193,32 +212,28 @@ class ForceSolver:
         weights = np.linalg.lstsq(forces / sizes, force, rcond=None)[0]
         return velocities @ (weights / sizes)
 
-    def _correction(self, near):
-        """Changes of force and velocities that make f = B u in the tube."""
-        with phase("tube solve"):
-            return self.direct.correction(self.force - self.block.forces_of(near))
-
     def finish(self, rhs, velocity):
         """Make `velocity` hold everywhere."""
-        outer = self.condensation
         rhs.copy(self._rhs)
-        outer.add(self._rhs, tube=-self.block.spread(self.force))
+        self.spread_add(self._rhs, -1.0)
         self.response.respond(self._rhs, velocity)
-        near = outer.from_tube(velocity)
-        correction, shift = self._correction(near)
-        self.force += correction
-        outer.set_tube(near + shift, velocity)
+        self.arcs.age()
         self.begin()
 
-    def release(self):
-        """Free what belongs to one tube.  Collective."""
+    def spread_add(self, vector, scale):
+        """Add `scale` times B^T f to a velocity vector."""
+        self.access.add_tube(scale * self.block.spread(self.force), vector)
+
+    def _release(self):
+        """Free what belongs to one tube."""
         if self.window is not None:
             self.window.destroy()
-            self.window = None
+            self.access.destroy()
 
     def destroy(self):
         """Free the solver.  Collective."""
-        self.release()
+        self._release()
+        self.arcs.destroy()
         if self.ksp is not None:
             for part in (self.ksp, self._operator, self._residual, self._change):
                 part.destroy()
@@ -233,8 +248,7 @@ class _TubePC:
 
     def apply(self, pc, x, y):
         """Set y to the preconditioner times x."""
-        with phase("tube solve"):
-            y.getArray()[:] = self.solver.direct.precondition(x.getArray(readonly=True))
+        self.solver.arcs.precondition(x, y)
 
     def view(self, pc, viewer):
         """Say what it is, and what inverts the fluid's matrix."""

@@ -1,5 +1,6 @@
 """The momentum system: viscous fluid plus implicit membrane force."""
 
+import numpy as np
 from petsc4py import PETSc
 
 from ..events import phase
@@ -71,6 +72,12 @@ class ImplicitForce:
         """Factor of J^T W J in the momentum matrix."""
         return self.interval * self.interpolation.spreading_scale
 
+    def root(self):
+        """The matrix C with C^T C = W, times the square root of that factor, on rank 0."""
+        root = self.stiffness.root()
+        root.scale(np.sqrt(self.scale))
+        return root
+
     def add_to(self, velocity, result):
         """Add its product with `velocity` to `result`.  Collective."""
         displacement = self.interval * self.interpolation.interpolate(velocity)
@@ -141,13 +148,13 @@ class MomentumSolver:
     def _prepare_for_membrane(self):
         self._rhs = self.fluid.matrix.createVecLeft()
         self._operator = krylov.Operator(self._rhs)
-        if self.condense:
+        if self.condense and self.exact:
+            self.force_solver = ForceSolver(
+                self.grid, self.fluid, self.ksp.getPC().getPythonContext(), self.prefix,
+                self.defaults, "momentum", LAYERS_IF_EXACT, solenoidal=False,
+            )
+        elif self.condense:
             self.direct = TubeDirect(self.prefix + "tube_")
-            if self.exact:
-                response = self.ksp.getPC().getPythonContext()
-                self.force_solver = ForceSolver(
-                    response, self._rhs, self.prefix, self.defaults, "momentum"
-                )
 
     @property
     def exact(self):
@@ -156,7 +163,7 @@ class MomentumSolver:
 
     def update(self, interval, interpolation=None, stiffness=None):
         """Set the system for theta dt = `interval` and the membrane's present configuration."""
-        self.fluid.update(interval)
+        changed = self.fluid.update(interval)
         self._release()
         if interpolation is None:
             self.ksp.setOperators(self.fluid.matrix)
@@ -164,15 +171,17 @@ class MomentumSolver:
         if self._operator is None:
             self._prepare_for_membrane()
         force = ImplicitForce(interpolation, stiffness, interval)
-        if self.condense:
-            if self.force_solver:
+        if self.force_solver:
+            if changed:
                 self.ksp.setOperators(self.fluid.matrix)
                 self.ksp.getPC().setUp()
             with phase("tube set-up"):
+                self.force_solver.update(interpolation, force, changed)
+        elif self.condense:
+            with phase("tube set-up"):
                 self.condensation = self._condense(force)
-            if not self.force_solver:
-                self._operator.act_as(self.condensation)
-                self.ksp.setOperators(self._operator.matrix, self.fluid.matrix)
+            self._operator.act_as(self.condensation)
+            self.ksp.setOperators(self._operator.matrix, self.fluid.matrix)
         else:
             with phase("momentum assembly"):
                 whole = force.assemble()
@@ -182,24 +191,20 @@ class MomentumSolver:
             whole.destroy()
 
     def _condense(self, force):
-        fluid = self.fluid.matrix
-        layers = LAYERS_IF_EXACT if self.force_solver else LAYERS
-        tube = Tube(self.grid, force.interpolation.stencil, layers)
-        matrix, coupling = tube_blocks(fluid, tube)
+        tube = Tube(self.grid, force.interpolation.stencil, LAYERS)
+        matrix, coupling = tube_blocks(self.fluid.matrix, tube)
         block = TubeBlock(tube, matrix)
-        block.set(force.stiffness, force.scale)
+        block.set(force.root())
         self.direct.set_block(block)
         self.direct.factor()
-        condensation = Condensation(
-            fluid.mult, self._rhs, tube.faces, tube.shell_faces, [coupling], self.direct.solve
+        return Condensation(
+            self.fluid.matrix.mult, self._rhs, tube.faces, tube.shell_faces, [coupling],
+            self.direct.solve,
         )
-        if self.force_solver:
-            self.force_solver.set_tube(tube, self.direct, condensation)
-        return condensation
 
     def solve(self, rhs, velocity):
         """Solve for `velocity` (first guess on entry).  Returns the iterations."""
-        if self.force_solver and self.condensation:
+        if self.force_solver:
             return self.force_solver.solve(rhs, velocity)
         if self.condensation is None:
             return self._iterate(rhs, velocity)

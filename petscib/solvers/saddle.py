@@ -12,7 +12,7 @@ from .momentum import FluidMatrix, ImplicitForce, tube_blocks
 from .pair import FluidPair, PairLayout
 from .projection import ProjectionPC
 from .stream import TubeSaddle, divergence_free_basis
-from .tube import Tube
+from .tube import LAYERS, Tube
 
 DEFAULTS = {
     "ksp_type": "fgmres",
@@ -20,9 +20,6 @@ DEFAULTS = {
     "ksp_max_it": 200,
     "pc_type": "python",
 }
-# Relative change of the membrane's matrix beyond which a factorisation of it is made anew: what a
-# stale one costs in iterations would then be more than what it saves.
-LARGE_DRIFT = 0.01
 
 
 class CoupledSolver:
@@ -62,7 +59,7 @@ class CoupledSolver:
         pc = self.ksp.getPC()
         if pc.getType() == "python" and pc.getPythonContext() is None:
             pc.setPythonContext(ProjectionPC(self.pair, operators, prefix))
-        self.direct = self._tube = self._interpolation = self._method = None
+        self._method = None
 
     def update(self, interval, interpolation=None, stiffness=None):
         """Set the system for theta dt = `interval` and the membrane's present configuration.
@@ -76,33 +73,10 @@ class CoupledSolver:
         if self._method is None:
             forces = interpolation is not None and krylov.has_exact_preconditioner(self.ksp)
             self._method = (ForceMethod if forces else CondensedMethod)(self)
-        if interpolation is None:
-            return
-        if self.direct is None:
-            self.direct = TubeDirect(self.prefix + "tube_")
-        with phase("tube set-up"):
-            if interpolation is not self._interpolation:
-                self._place(interpolation, changed)
-            force = ImplicitForce(interpolation, stiffness, interval)
-            self.direct.block.set(stiffness, force.scale)
-            self._method.take_stiffness()
-
-    def _place(self, interpolation, changed):
-        """Take new positions of the markers: as a rule, they are still in the same tube."""
-        grid = self.grid
-        tube = Tube(grid, interpolation.stencil)
-        same = not changed and self._tube is not None and tube.has_faces_of(self._tube)
-        if grid.comm.tompi4py().bcast(same):
-            self.direct.block.move(tube)
-            self.direct.move()
-        else:
-            self._method.leave_tube()
-            matrix, to_faces = tube_blocks(self.fluid.matrix, tube)
-            block = TubeBlock(tube, matrix)
-            basis = divergence_free_basis(tube) if block.size else None
-            self.direct.set_block(block, basis)
-            self._method.enter_tube(tube, to_faces)
-        self._tube, self._interpolation = tube, interpolation
+        if interpolation is not None:
+            with phase("tube set-up"):
+                force = ImplicitForce(interpolation, stiffness, interval)
+                self._method.update(interpolation, force, changed)
 
     def solve(self, rhs, velocity, pressure):
         """Solve for `velocity` and `pressure` (first guesses on entry).
@@ -157,7 +131,7 @@ class CoupledSolver:
 
     def destroy(self):
         """Free the solver.  Collective."""
-        for part in (self._method, self.direct, self.ksp, self.operator, self.pair, self.layout):
+        for part in (self._method, self.ksp, self.operator, self.pair, self.layout):
             if part is not None:
                 part.destroy()
 
@@ -172,23 +146,41 @@ class CondensedMethod:
 
     def __init__(self, solver):
         self.solver = solver
-        self.condensation = self._condensed = None
+        self.direct = self.condensation = self._tube = self._interpolation = None
         self._rhs, *self._force = solver.layout.joint()
         self._solution, *self._found = solver.layout.joint()
+        self._condensed = None
 
-    def leave_tube(self):
-        """Free what belongs to one tube."""
-        if self.condensation is not None:
-            self.condensation.destroy()
-            self._saddle.destroy()
-            self.condensation = None
+    def update(self, interpolation, force, changed):
+        """Set the system for the membrane's present configuration."""
+        if self.direct is None:
+            self.direct = TubeDirect(self.solver.prefix + "tube_")
+            self._condensed = self._rhs.duplicate()
+        if interpolation is not self._interpolation:
+            self._place(interpolation.stencil, changed)
+            self._interpolation = interpolation
+        self.direct.block.set(force.root())
+        self.direct.factor()
+        self.solver.operator.act_as(self.condensation)
 
-    def enter_tube(self, tube, to_faces):
-        """Condense a new tube, coupled by `to_faces` to the faces of its shell."""
+    def _place(self, stencil, changed):
+        """Take new positions of the markers: as a rule, they are still in the same tube."""
+        grid = self.solver.grid
+        tube = Tube(grid, stencil)
+        same = not changed and self._tube is not None and tube.has_faces_of(self._tube)
+        if grid.comm.tompi4py().bcast(same):
+            if self.direct.block.size:
+                self.direct.block.move(tube)
+                self.direct.move()
+        else:
+            self._release()
+            self._condense(tube)
+        self._tube = tube
+
+    def _condense(self, tube):
         solver, layout = self.solver, self.solver.layout
         gradient, scale = solver.pair.gradient, solver.pair.scale
-        if self._condensed is None:
-            self._condensed = self._rhs.duplicate()
+        matrix, to_faces = tube_blocks(solver.fluid.matrix, tube)
         faces, cells, shell = (
             PETSc.IS().createGeneral(numbers, comm=PETSc.COMM_SELF)
             for numbers in (tube.faces, tube.cells, tube.shell_cells)
@@ -197,7 +189,9 @@ class CondensedMethod:
         (to_cells,) = gradient.createSubMatrices([faces], [shell])
         inner.scale(scale)
         to_cells.scale(scale)
-        self._saddle = TubeSaddle(solver.direct, inner, solver.prefix + "tube_")
+        block = TubeBlock(tube, matrix)
+        self.direct.set_block(block, divergence_free_basis(tube) if block.size else None)
+        self._saddle = TubeSaddle(self.direct, inner, solver.prefix + "tube_")
         self.condensation = Condensation(
             solver.pair.mult,
             layout.vector,
@@ -208,10 +202,12 @@ class CondensedMethod:
             self._saddle.solve_with_pressure,
         )
 
-    def take_stiffness(self):
-        """Follow a new stiffness of the membrane."""
-        self.solver.direct.factor()
-        self.solver.operator.act_as(self.condensation)
+    def _release(self):
+        """Free what belongs to one tube."""
+        if self.condensation is not None:
+            self.condensation.destroy()
+            self._saddle.destroy()
+            self.condensation = None
 
     def begin(self, velocity, pressure):
         """Take first guesses."""
@@ -249,8 +245,10 @@ class CondensedMethod:
         pressure.scale(self.solver.pair.scale)
 
     def destroy(self):
-        """Free vectors.  Collective."""
-        self.leave_tube()
+        """Free vectors and factors.  Collective."""
+        self._release()
+        if self.direct is not None:
+            self.direct.destroy()
         for vector in (self._condensed, *self._force, *self._found, self._rhs, self._solution):
             if vector is not None:
                 vector.destroy()
@@ -267,60 +265,35 @@ class ForceMethod:
     def __init__(self, solver):
         self.solver = solver
         self.stokes = solver.ksp.getPC().getPythonContext()
+        self.forces = ForceSolver(
+            solver.grid, solver.fluid, self, solver.prefix, DEFAULTS, "coupled", LAYERS,
+            solenoidal=True,
+        )
         vector = solver.layout.velocity
-        self.force_solver = ForceSolver(self, vector, solver.prefix, DEFAULTS, "coupled")
         self._rest, self._slope = vector.duplicate(), vector.duplicate()
         self._lift = self._lift_force = self._lift_interval = None
-        self.condensation = self._new_tube = None
-        self._factored = False
 
-    def leave_tube(self):
-        """Free what belongs to one tube."""
-        if self.condensation is not None:
-            self.condensation.destroy()
-            self.condensation = None
-
-    def enter_tube(self, tube, to_faces):
-        """Take a new tube, coupled by `to_faces` to the faces of its shell."""
-        solver = self.solver
-        self.condensation = Condensation(
-            solver.fluid.matrix.mult, solver.layout.velocity, tube.faces, tube.shell_faces,
-            [to_faces], solver.direct.solve,
-        )
-        self._new_tube, self._factored = tube, False
-
-    def take_stiffness(self):
-        """Follow a new stiffness of the membrane.
-
-        Between solves that belong together, an earlier factorisation will do.
-        """
-        direct = self.solver.direct
-        if not self._factored or direct.drift() > LARGE_DRIFT:
-            direct.factor()
-            self._factored = True
-        if self._new_tube is not None:
-            self.force_solver.set_tube(self._new_tube, self.solver.direct, self.condensation)
-            self._new_tube = None
+    def update(self, interpolation, force, changed):
+        """Set the system for the membrane's present configuration."""
+        self.forces.update(interpolation, force, changed)
 
     def begin(self, velocity, pressure):
         """Take first guesses."""
         self.solver.pair.gradient.mult(pressure, self._slope)
-        self.force_solver.begin()
+        self.forces.begin()
 
     def iterate(self, rhs, velocity, rtol):
         """Solve, and set `velocity` in the tube."""
         self._given = rhs
-        return self.force_solver.iterate(rhs, velocity, rtol, self._slope)
+        return self.forces.iterate(rhs, velocity, rtol, self._slope)
 
     def finish(self, velocity, pressure):
         """Set `velocity` and `pressure`."""
-        rest, forces = self._rest, self.force_solver
-        forces.finish(self._given, velocity)
-        self.solver.fluid.matrix.mult(velocity, rest)
-        rest.aypx(-1.0, self._given)
-        self.condensation.add(rest, tube=-forces.block.spread(forces.force))
-        self.stokes.pressure(rest, pressure)
-        self._factored = False
+        self.forces.finish(self._given, velocity)
+        self.solver.fluid.matrix.mult(velocity, self._rest)
+        self._rest.aypx(-1.0, self._given)
+        self.forces.spread_add(self._rest, -1.0)
+        self.stokes.pressure(self._rest, pressure)
 
     def respond(self, force, velocity):
         """Set `velocity` to what the force and the walls cause without membrane."""
@@ -349,8 +322,7 @@ class ForceMethod:
 
     def destroy(self):
         """Free vectors.  Collective."""
-        self.leave_tube()
-        self.force_solver.destroy()
+        self.forces.destroy()
         for vector in (self._rest, self._slope, self._lift, self._lift_force):
             if vector is not None:
                 vector.destroy()

@@ -242,7 +242,9 @@ def use(prefix, preconditioner, alone):
         gradients find the membrane's force (see `force`).
     """
     if not PETSc.Options(prefix).hasName("pc_type"):
-        krylov.set_defaults(prefix, {"ksp_type": "preonly" if alone else "cg"})
+        # Less accurate solves would be little cheaper, and show in the energy law.
+        krylov.set_defaults(
+            prefix, {"ksp_type": "preonly"} if alone else {"ksp_type": "cg", "ksp_rtol": 1e-8})
         name = f"{preconditioner.__module__}.{preconditioner.__name__}"
         krylov.set_defaults(prefix, {"pc_type": "python", "pc_python_type": name})
 

@@ -1,0 +1,217 @@
+"""The tube's factorisations shared out among the ranks, to precondition the membrane's force.
+
+Each rank takes an arc of the membrane, a little longer than its share, and factors the tube around
+it.  The sum of what the arcs answer is an additive Schwarz preconditioner of 1 + B H B^T (see
+`force`): with overlapping arcs it costs a few iterations more than the whole tube, whatever the
+stiffness.  On one rank the arc is the whole membrane.
+"""
+
+import numpy as np
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from ..events import phase
+from .block import TubeBlock, TubeDirect
+from .condensation import TubeAccess
+from .stream import divergence_free_basis
+from .tube import Tube
+
+OVERLAP = 8  # markers that an arc has beyond its share, at either end
+SHORTEST = 4 * OVERLAP  # share of markers for which another arc is worth while
+# Relative change of the membrane's matrix beyond which a factorisation of it is made anew: what a
+# stale one costs in iterations would then be more than what it saves.
+LARGE_DRIFT = 0.01
+
+
+def share_markers(count, ranks):
+    """For each rank the numbers of the markers of its arc, those of its own share marked.
+
+    Returns a list of (markers, own), integers and booleans.
+    """
+    arcs = max(1, min(ranks, count // SHORTEST))
+    shares = []
+    for rank in range(ranks):
+        start, stop = (count * (rank + i) // arcs if rank < arcs else 0 for i in (0, 1))
+        reach = OVERLAP if 1 < arcs and rank < arcs else 0
+        places = np.arange(start - reach, stop + reach)
+        shares.append((places % max(count, 1), (start <= places) & (places < stop)))
+    return shares
+
+
+def take_rows(root, markers, own):
+    """Rows of C that belong to an arc, on the rank that has C.
+
+    Returns
+    -------
+    rows : ndarray of int
+    own : ndarray of bool
+        Whether a row is of the arc's own share.
+    csr : (starts, columns, values)
+        These rows of C, with columns numbered along the arc.
+    """
+    starts, columns, values = root.getValuesCSR()
+    place = np.full(root.getSize()[1] // 2, -1)
+    place[markers] = np.arange(len(markers))
+    along = place[columns // 2]
+    rows = np.flatnonzero(np.minimum.reduceat(along, starts[:-1]) >= 0)
+    widths = np.diff(starts)
+    chosen = np.zeros(len(widths), dtype=bool)
+    chosen[rows] = True
+    chosen = np.repeat(chosen, widths)
+    first = along[starts[rows]]
+    return rows, own[first], (
+        np.concatenate(([0], np.cumsum(widths[rows]))).astype(PETSc.IntType),
+        (2 * along + columns % 2)[chosen].astype(PETSc.IntType),
+        values[chosen],
+    )
+
+
+class TubeArcs:
+    """An arc of the membrane on each rank, with the tube around it.  Collective.
+
+    Parameters
+    ----------
+    grid : Grid
+    fluid : FluidMatrix
+    vector : PETSc.Vec
+        Any velocity vector.
+    prefix : str
+        Options prefix of the factorisations.
+    layers : int
+        Layers of faces in a tube beyond those that the markers see.
+    solenoidal : bool
+        Whether the velocities are without divergence.
+    """
+
+    def __init__(self, grid, fluid, vector, prefix, layers, solenoidal):
+        self.grid, self.fluid = grid, fluid
+        self.comm = grid.comm.tompi4py()
+        self.layers, self.solenoidal = layers, solenoidal
+        self.direct = TubeDirect(prefix)
+        self._vector = vector
+        self._tube = self._access = self._rows = None
+        self._factored = False
+
+    def place(self, stencil, tube, changed):
+        """Take new positions of the markers.
+
+        Parameters
+        ----------
+        stencil : Stencil
+            Of all markers, on rank 0.
+        tube : Tube
+            Around all markers, on rank 0.
+        changed : bool
+            Whether the fluid matrix has.
+        """
+        if self.comm.size > 1:
+            parts = None
+            if self.comm.rank == 0:
+                self._shares = share_markers(len(stencil.positions), self.comm.size)
+                parts = [stencil.select(markers) for markers, _ in self._shares]
+            tube = Tube(self.grid, self.comm.scatter(parts), self.layers)
+        same = not changed and self._tube is not None and tube.has_faces_of(self._tube)
+        self._tube = tube
+        if self.comm.allreduce(same, MPI.LAND):
+            if self.direct.block.size:
+                self.direct.block.move(tube)
+                self.direct.move()
+            return
+        self._release()
+        faces, shell = (PETSc.IS().createGeneral(numbers, comm=PETSc.COMM_SELF)
+                        for numbers in (tube.faces, tube.shell_faces))
+        (matrix,) = self.fluid.matrix.createSubMatrices([faces], [faces])
+        (self._coupling,) = self.fluid.matrix.createSubMatrices([faces], [shell])
+        self._access = TubeAccess(self._vector, tube.faces, tube.shell_faces)
+        block = TubeBlock(tube, matrix)
+        basis = divergence_free_basis(tube) if self.solenoidal and block.size else None
+        self.direct.set_block(block, basis)
+        self._factored = False
+
+    def set_root(self, root, forces):
+        """Take the membrane's stiffness.
+
+        Parameters
+        ----------
+        root : PETSc.Mat
+            C with its factor, on rank 0.
+        forces : PETSc.Vec
+            Any vector of the membrane's forces, all on rank 0.
+        """
+        if self.comm.size > 1:
+            parts = None
+            if self.comm.rank == 0:
+                parts = [take_rows(root, *share) for share in self._shares]
+            rows, own, csr = self.comm.scatter(parts)
+            shape = len(rows), 2 * len(self._tube.stencil.positions)
+            root = PETSc.Mat().createAIJ(shape, csr=csr, comm=PETSc.COMM_SELF)
+        else:
+            rows, own = np.arange(forces.getSize()), np.ones(forces.getSize(), dtype=bool)
+        self.direct.block.set(root)
+        if self._rows is None:
+            self._own = own
+            self._part = PETSc.Vec().createSeq(len(rows), comm=PETSc.COMM_SELF)
+            index = PETSc.IS().createGeneral(rows.astype(PETSc.IntType), comm=PETSc.COMM_SELF)
+            self._rows = PETSc.Scatter().create(forces, index, self._part, None)
+
+    def factor(self):
+        """Factor, unless there is a factorisation that will do.  Not collective."""
+        if not self._factored or self.direct.drift() > LARGE_DRIFT:
+            self.direct.factor()
+            self._factored = True
+
+    def age(self):
+        """Let the next factorisation be made anew."""
+        self._factored = False
+
+    def precondition(self, x, y):
+        """Set y to the preconditioner times x, vectors of forces."""
+        self._rows.scatter(x, self._part)
+        with phase("tube solve"):
+            self._part.getArray()[:] = self.direct.precondition(
+                self._part.getArray(readonly=True))
+        y.set(0.0)
+        self._add(y)
+
+    def _add(self, vector):
+        self._rows.scatter(self._part, vector, PETSc.InsertMode.ADD_VALUES,
+                           PETSc.ScatterMode.REVERSE)
+
+    def forces(self, rhs, result, velocity=None, slope=None):
+        """Set `result` to the forces on the membrane when the surroundings move as given.
+
+        Parameters
+        ----------
+        rhs : PETSc.Vec
+            Of the momentum equations.
+        result : PETSc.Vec
+        velocity : PETSc.Vec, optional
+            What moves the faces around the tube; None: they are at rest.
+        slope : PETSc.Vec, optional
+            Part of the right-hand side that a pressure balances there.
+        """
+        rest = self._access.from_tube(rhs)
+        if slope is not None:
+            rest -= self._access.from_tube(slope)
+        if velocity is not None:
+            outside, inside = self._coupling.createVecs()
+            outside.getArray()[:] = self._access.from_shell(velocity)
+            self._coupling.mult(outside, inside)
+            rest -= inside.getArray(readonly=True)
+        with phase("tube solve"):
+            self._part.getArray()[:] = np.where(self._own, self.direct.force(rest), 0.0)
+        result.set(0.0)
+        self._add(result)
+
+    def _release(self):
+        if self._access is not None:
+            self._access.destroy()
+            self._coupling.destroy()
+
+    def destroy(self):
+        """Free factors, scatters and vectors.  Collective."""
+        self._release()
+        self.direct.destroy()
+        if self._rows is not None:
+            self._rows.destroy()
+            self._part.destroy()
