@@ -150,8 +150,16 @@ def test_solvers_and_files_of_a_vesicle_are_not_made_without(tmp_path):
 
 def test_a_scheme_has_no_other_schemes_state(tmp_path):
     simulation = finished(tmp_path, scheme="mbe")
-    assert set(simulation.state.history) == {"stage", "stage_change"}
+    assert set(simulation.state.history) == {"stage", "stage_change", "stretch_reset"}
     assert not any(name.startswith("coupled") for name in PETSc.Options().getAll())
+    simulation.destroy()
+
+
+@pytest.mark.parametrize("options", [
+    dict(scheme="ep", sigma0="1", ts_dt="1e-4"), dict(sigma0="0"), dict(stretch="evolve")])
+def test_no_reset_no_state_of_it(options, tmp_path):
+    simulation = finished(tmp_path, **options)
+    assert "stretch_reset" not in simulation.state.history
     simulation.destroy()
 
 

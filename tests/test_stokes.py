@@ -214,6 +214,10 @@ def whole_iteration(case, **last):
 @pytest.mark.parametrize("flow", ["rest", "extensional"])
 @pytest.mark.parametrize("sigma0", [1e5, 1e9])
 def test_passes_that_belong_together_end_at_the_answer_of_the_last(sigma0, flow):
+    check_passes(sigma0, flow)
+
+
+def check_passes(sigma0, flow):
     case = Case(sigma0, flow)
     last = dict(shift=0.11, turn=0.2)
     expected = whole_iteration(case, **last)

@@ -83,9 +83,9 @@ class Membrane:
             geometry.second_difference(markers, self.ds) ** 2
         )
 
-    def stiffness(self, tangent):
-        """Linear part of the force for a given tangent field."""
-        return Stiffness(self, tangent)
+    def stiffness(self, tangent, reset=None):
+        """Linear part of the force for a given tangent field (see `Stiffness`)."""
+        return Stiffness(self, tangent, reset)
 
 
 class Stiffness:
@@ -99,11 +99,15 @@ class Stiffness:
     membrane : Membrane
     tangent : ndarray, shape (M, 2)
         At the half points; None without tension.
+    reset : ndarray, shape (M,), optional
+        Stretching, at the half points, by which the membrane has just been put right, and which it
+        is therefore going to lose again: for a first guess.
     """
 
-    def __init__(self, membrane, tangent):
+    def __init__(self, membrane, tangent, reset=None):
         self.membrane = membrane
         self.tangent = tangent
+        self.reset = reset
 
     def apply(self, displacement):
         """W times an (M, 2) array."""
@@ -138,6 +142,14 @@ class Stiffness:
                 columns.append(2 * triple + component)
                 values.append(np.tile(second, (count, 1)))
         return _from_rows(2 * count, columns, values)
+
+    def first_rates(self, interval):
+        """First guess of C times the markers' velocities over the next `interval`."""
+        membrane, count = self.membrane, len(self.membrane.rest_stretch)
+        rates = np.zeros(count * (bool(membrane.sigma0) + 2 * bool(membrane.bending)))
+        if self.reset is not None:
+            rates[:count] = np.sqrt(membrane.sigma0) / interval * self.reset
+        return rates
 
     def matrix(self, comm=PETSc.COMM_SELF):
         """W as a sparse matrix, 2M x 2M, components interleaved.

@@ -17,6 +17,8 @@ class Explicit(ProjectionScheme):
         "-ts_dt or an implicit scheme such as -scheme mbe"
     )
 
+    implicit = False
+
     def __init__(self, problem):
         super().__init__(problem, 1.0)
 

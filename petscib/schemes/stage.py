@@ -19,6 +19,7 @@ class StageScheme:
     """
 
     advice = "try a smaller -ts_dt"
+    implicit = True
 
     def __init__(self, problem, theta, solver):
         self.problem = problem
@@ -39,7 +40,8 @@ class StageScheme:
         problem, interval = self.problem, self.theta * dt
         problem.fluid_rhs(state.velocity, interval, self._rhs)
         if problem.acted_on:
-            self.solver.update(interval, interpolation, problem.membrane.stiffness(tangent))
+            stiffness = problem.membrane.stiffness(tangent, state.history.get("stretch_reset"))
+            self.solver.update(interval, interpolation, stiffness)
             problem.add_force(state, tangent, interpolation, self._rhs)
         else:
             self.solver.update(interval)
@@ -83,6 +85,8 @@ class StageScheme:
                 stretch = problem.next_stretch(state.stretch, rate, dt, markers)
             interpolation.destroy()
         history = problem.next_history(state, stage)
+        if self.implicit and rate is not None and not problem.evolve:
+            history["stretch_reset"] = state.stretch + dt * rate - stretch
         end = State(
             state.step + 1, state.time + dt, velocity, pressure, markers, stretch, history
         )

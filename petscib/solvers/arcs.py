@@ -2,8 +2,9 @@
 
 Each rank takes an arc of the membrane, a little longer than its share, and factors the tube around
 it.  The sum of what the arcs answer is an additive Schwarz preconditioner of 1 + B H B^T (see
-`force`): with overlapping arcs it costs a few iterations more than the whole tube, whatever the
-stiffness.  On one rank the arc is the whole membrane.
+`force`): with overlapping arcs it costs a few iterations more than the whole tube.  On one rank the
+arc is the whole membrane; so it is on rank 0, the others having none, when the membrane is so stiff
+that the energy law asks for more than the iteration can give (see `TubeArcs.correct`).
 """
 
 import numpy as np
@@ -16,19 +17,23 @@ from .condensation import TubeAccess
 from .stream import divergence_free_basis
 from .tube import Tube
 
-OVERLAP = 8  # markers that an arc has beyond its share, at either end
+OVERLAP = 16  # markers that an arc has beyond its share, at either end
 SHORTEST = 4 * OVERLAP  # share of markers for which another arc is worth while
 # Relative change of the membrane's matrix beyond which a factorisation of it is made anew: what a
 # stale one costs in iterations would then be more than what it saves.
 LARGE_DRIFT = 0.01
+# Ratio of the membrane's stiffness to the fluid's beyond which it is not cut.  It is 5e8 with the
+# default spacing and viscosity for sigma0 = 1e9 and dt = h; ten times more, the defect of the
+# energy law would pass 1e-6.
+STIFFEST = 1e9
 
 
-def share_markers(count, ranks):
+def share_markers(count, ranks, whole):
     """For each rank the numbers of the markers of its arc, those of its own share marked.
 
-    Returns a list of (markers, own), integers and booleans.
+    With `whole`, the first rank has all.  Returns a list of (markers, own), integers and booleans.
     """
-    arcs = max(1, min(ranks, count // SHORTEST))
+    arcs = 1 if whole else max(1, min(ranks, count // SHORTEST))
     shares = []
     for rank in range(ranks):
         start, stop = (count * (rank + i) // arcs if rank < arcs else 0 for i in (0, 1))
@@ -92,7 +97,7 @@ class TubeArcs:
         self._tube = self._access = self._rows = None
         self._factored = False
 
-    def place(self, stencil, tube, changed):
+    def place(self, stencil, tube, ratio, changed):
         """Take new positions of the markers.
 
         Parameters
@@ -101,13 +106,18 @@ class TubeArcs:
             Of all markers, on rank 0.
         tube : Tube
             Around all markers, on rank 0.
+        ratio : float
+            Of the membrane's stiffness to the fluid's.
         changed : bool
             Whether the fluid matrix has.
         """
+        if changed:
+            self._release_rows()
         if self.comm.size > 1:
             parts = None
             if self.comm.rank == 0:
-                self._shares = share_markers(len(stencil.positions), self.comm.size)
+                self._shares = share_markers(
+                    len(stencil.positions), self.comm.size, ratio > STIFFEST)
                 parts = [stencil.select(markers) for markers, _ in self._shares]
             tube = Tube(self.grid, self.comm.scatter(parts), self.layers)
         same = not changed and self._tube is not None and tube.has_faces_of(self._tube)
@@ -123,10 +133,22 @@ class TubeArcs:
         (matrix,) = self.fluid.matrix.createSubMatrices([faces], [faces])
         (self._coupling,) = self.fluid.matrix.createSubMatrices([faces], [shell])
         self._access = TubeAccess(self._vector, tube.faces, tube.shell_faces)
+        self._weights = self._shares_of_faces()
         block = TubeBlock(tube, matrix)
         basis = divergence_free_basis(tube) if self.solenoidal and block.size else None
         self.direct.set_block(block, basis)
         self._factored = False
+
+    def _shares_of_faces(self):
+        """One over the number of tubes that a face is in."""
+        if self.comm.size == 1:
+            return 1.0
+        count = self._vector.duplicate()
+        count.set(0.0)
+        self._access.add_tube(1.0, count)
+        shares = 1.0 / self._access.from_tube(count)
+        count.destroy()
+        return shares
 
     def set_root(self, root, forces):
         """Take the membrane's stiffness.
@@ -177,41 +199,63 @@ class TubeArcs:
         self._rows.scatter(self._part, vector, PETSc.InsertMode.ADD_VALUES,
                            PETSc.ScatterMode.REVERSE)
 
-    def forces(self, rhs, result, velocity=None, slope=None):
-        """Set `result` to the forces on the membrane when the surroundings move as given.
+    def add_forces(self, rhs, velocity, slope, forces):
+        """Add to the membrane's forces what is missing when its surroundings move as given.
 
         Parameters
         ----------
         rhs : PETSc.Vec
-            Of the momentum equations.
-        result : PETSc.Vec
-        velocity : PETSc.Vec, optional
-            What moves the faces around the tube; None: they are at rest.
-        slope : PETSc.Vec, optional
+            Of the momentum equations, less the forces.
+        velocity : PETSc.Vec
+            Is read around the tube.
+        slope : PETSc.Vec or None
             Part of the right-hand side that a pressure balances there.
+        forces : PETSc.Vec
         """
-        rest = self._access.from_tube(rhs)
+        access, (outside, inside) = self._access, self._coupling.createVecs()
+        outside.getArray()[:] = access.from_shell(velocity)
+        self._coupling.mult(outside, inside)
+        rest = access.from_tube(rhs) - inside.getArray(readonly=True)
         if slope is not None:
-            rest -= self._access.from_tube(slope)
-        if velocity is not None:
-            outside, inside = self._coupling.createVecs()
-            outside.getArray()[:] = self._access.from_shell(velocity)
-            self._coupling.mult(outside, inside)
-            rest -= inside.getArray(readonly=True)
+            rest -= access.from_tube(slope)
+        self._rows.scatter(forces, self._part)
+        known = self._part.getArray(readonly=True).copy()
         with phase("tube solve"):
-            self._part.getArray()[:] = np.where(self._own, self.direct.force(rest), 0.0)
-        result.set(0.0)
-        self._add(result)
+            self._part.getArray()[:] = np.where(self._own, self.direct.force(rest, known), 0.0)
+        self._add(forces)
+
+    def correct(self, defect, velocity):
+        """Change the velocities in the tube such that B u - f grows by a small defect.
+
+        Exactly so with one arc; with several, the more nearly the farther from their ends.
+
+        Parameters
+        ----------
+        defect : PETSc.Vec
+            Of forces; on return the change of f.
+        velocity : PETSc.Vec
+        """
+        self._rows.scatter(defect, self._part)
+        with phase("tube solve"):
+            force, shift = self.direct.correction(self._part.getArray(readonly=True))
+        self._part.getArray()[:] = np.where(self._own, force, 0.0)
+        defect.set(0.0)
+        self._add(defect)
+        self._access.add_tube(self._weights * shift, velocity)
 
     def _release(self):
         if self._access is not None:
             self._access.destroy()
             self._coupling.destroy()
 
-    def destroy(self):
-        """Free factors, scatters and vectors.  Collective."""
-        self._release()
-        self.direct.destroy()
+    def _release_rows(self):
         if self._rows is not None:
             self._rows.destroy()
             self._part.destroy()
+            self._rows = None
+
+    def destroy(self):
+        """Free factors, scatters and vectors.  Collective."""
+        self._release()
+        self._release_rows()
+        self.direct.destroy()

@@ -65,12 +65,27 @@ class TubeBlock:
             self.root = root
             self._force = root.createVecLeft()
 
-    def forces_of(self, velocity):
-        """B w for an array w over the faces."""
+    def interpolate(self, velocity):
+        """J w for an array w over the faces: components of markers interleaved."""
         if not self.size:
             return np.empty(0)
         self._face.getArray()[:] = velocity
         self.interpolation.mult(self._face, self._marker)
+        return self._marker.getArray(readonly=True).copy()
+
+    def spread_markers(self, values):
+        """J^T times an array over the markers' components."""
+        if not self.size:
+            return np.empty(0)
+        self._marker.getArray()[:] = values
+        self.interpolation.multTranspose(self._marker, self._face)
+        return self._face.getArray(readonly=True).copy()
+
+    def forces_of(self, velocity):
+        """B w for an array w over the faces."""
+        if not self.size:
+            return np.empty(0)
+        self.interpolate(velocity)
         self.root.mult(self._marker, self._force)
         return self._force.getArray(readonly=True).copy()
 
@@ -80,8 +95,7 @@ class TubeBlock:
             return np.empty(0)
         self._force.getArray()[:] = force
         self.root.multTranspose(self._force, self._marker)
-        self.interpolation.multTranspose(self._marker, self._face)
-        return self._face.getArray(readonly=True).copy()
+        return self.spread_markers(self._marker.getArray(readonly=True))
 
     def multiply(self, velocity, force):
         """A0 w + B^T f for arrays w over the faces and f."""
@@ -160,9 +174,10 @@ class ForceSystem:
                 break
         return answer[: self.count], velocity
 
-    def force(self, force, rest):
-        """f alone, for right-hand sides g, r, without refinement."""
-        return self.cholesky.solve(np.concatenate((force, rest)))[: self.count]
+    def answer(self, force, rest):
+        """The pair f, w for right-hand sides g, r, without refinement.  New arrays."""
+        answer = self.cholesky.solve(np.concatenate((force, rest)))
+        return answer[: self.count], answer[self.count :]
 
     def _release(self):
         if self._matrix is not None:
@@ -259,18 +274,29 @@ class TubeDirect:
         """The velocities w alone."""
         return self.solve_forces(rhs)[1]
 
-    def force(self, rhs):
-        """Membrane forces f = B A_tt^{-1} rhs as a new array, without refinement."""
+    def force(self, rhs, known):
+        """What has to be added to forces that are known: an array, without refinement.
+
+        With the sum f, A0_tt w + B^T f = rhs + B^T known for the velocities w, and f = B w.
+        """
         if not self.block.size:
             return np.empty(0)
-        return self.system.force(np.zeros(self.system.count), self._restrict(rhs))
+        return self.system.answer(known, self._restrict(rhs))[0]
 
     def precondition(self, velocity):
         """(1 + B A0_tt^{-1} B^T)^{-1} times the array `velocity`."""
+        return -self._excite(velocity)[0] if self.block.size else np.empty(0)
+
+    def correction(self, defect):
+        """Changes of f and w, without force on the fluid, by which B w - f grows by `defect`."""
         if not self.block.size:
-            return np.empty(0)
+            return np.empty(0), np.empty(0)
+        force, values = self._excite(defect)
+        return force, self._extend(values)
+
+    def _excite(self, force):
         size = self.basis.getSize()[1] if self.basis is not None else self.block.size
-        return -self.system.force(velocity, np.zeros(size))
+        return self.system.answer(force, np.zeros(size))
 
     def destroy(self):
         """Free the factor."""

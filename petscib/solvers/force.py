@@ -16,9 +16,9 @@ ranks, an arc of it each (see `arcs`).  On one rank, the two have together the s
 other than one as the condensed operator (see `condensation`) preconditioned by the fluid's inverse,
 hence the same iterations, but the whole grid is solved only twice.
 
-The measure of convergence is what the force f_0, which would act if the velocities around the
-tube were zero, leaves over: else it would be the balance of large forces, which the tube settles by
-itself.
+Convergence is measured by velocities: an error of the markers' velocities U leaves a residual of
+about B H J^T g, with the forces g = U |U|^2 / (U . J H J^T U) that would cause it.  The right-hand
+side would be no measure, as it may be a balance of large forces.
 """
 
 import numpy as np
@@ -66,7 +66,7 @@ class ForceSolver:
     """
 
     def __init__(self, grid, fluid, response, prefix, defaults, what, layers, solenoidal):
-        self.grid, self.response = grid, response
+        self.grid, self.fluid, self.response = grid, fluid, response
         self.prefix, self.defaults, self.what = prefix, defaults, what
         self.layers = layers
         self._rhs = grid.velocity_vector()
@@ -86,7 +86,7 @@ class ForceSolver:
             Whether the fluid matrix has.
         """
         if interpolation is not self._interpolation:
-            self._place(interpolation.stencil, changed)
+            self._place(interpolation.stencil, force.ratio(self.fluid), changed)
             self._interpolation = interpolation
         root = force.root()
         self.block.set(root)
@@ -94,8 +94,9 @@ class ForceSolver:
             self._create(root.getSize()[0] if self.block.size else 0)
         self.arcs.set_root(root, self._residual)
         self.arcs.factor()
+        self._guess = force.first_guess()
 
-    def _place(self, stencil, changed):
+    def _place(self, stencil, ratio, changed):
         """Take new positions of the markers: as a rule, they are still in the same tube."""
         tube = Tube(self.grid, stencil, self.layers)
         same = not changed and self._tube is not None and tube.has_faces_of(self._tube)
@@ -108,7 +109,7 @@ class ForceSolver:
             self.access = TubeAccess(self._rhs, tube.faces)
             self.window = self.response.window(tube.face_positions())
             self.begin()
-        self.arcs.place(stencil, tube, changed)
+        self.arcs.place(stencil, tube, ratio, changed)
         self._tube = tube
 
     def _create(self, count):
@@ -136,7 +137,7 @@ class ForceSolver:
 
     def begin(self):
         """Forget the last solution: the next solve starts from a first guess."""
-        self._started = False
+        self._near = None
 
     def solve(self, rhs, velocity):
         """Solve for `velocity` (first guess on entry).  Returns the iterations."""
@@ -158,11 +159,13 @@ class ForceSolver:
             Part of the right-hand side that, at the first guess, a pressure balances.
         """
         block, force = self.block, self.access.from_tube(rhs)
-        if not self._started:
+        if self._near is None:
             self._start(rhs, force, velocity, slope)
-        near = self._near + self._respond_near(
-            force - self._given - block.spread(self.force))
-        self._residual.getArray()[:] = block.forces_of(near) - self.force
+        else:
+            load = force - block.spread(self.force)
+            self._near += self._respond_near(load - self._load)
+            self._load = load
+        self._residual.getArray()[:] = block.forces_of(self._near) - self.force
 
         usual, atol = self.ksp.getTolerances()[:2]
         least = (usual if rtol is None else rtol) * self._norm
@@ -173,25 +176,41 @@ class ForceSolver:
             )
         change = self._change.getArray(readonly=True)
         self.force += change
-        self.access.set_tube(near - self._caused(change), velocity)
+        self._load -= block.spread(change)
+        self._near -= self._caused(change)
+        self.access.set_tube(self._near, velocity)
         return iterations
 
     def _start(self, rhs, force, velocity, slope):
-        """Solve with the force f_0, and take the guessed one."""
-        block, part = self.block, self._change
-        self.arcs.forces(rhs, part, velocity, slope)
-        self.force = part.getArray(readonly=True).copy()
-        self.arcs.forces(rhs, part)
-        base = part.getArray(readonly=True)
-        spread = block.spread(base)
-        self._given = force - spread
+        """Take the force that belongs to the first guess, and the velocities that belong to it."""
+        guess = self.access.from_tube(velocity)
+        self.force = self._guess
         rhs.copy(self._rhs)
-        self.access.add_tube(-spread, self._rhs)
-        self.response.respond(self._rhs, velocity)
+        self.spread_add(self._rhs, -1.0)
+        self._change.getArray()[:] = self.force
+        self.arcs.add_forces(self._rhs, velocity, slope, self._change)
+        self.force = self._change.getArray(readonly=True).copy()
+        self._load = force - self.block.spread(self.force)
+        self._respond(rhs, velocity)
         self._near = self.access.from_tube(velocity)
-        self._residual.getArray()[:] = block.forces_of(self._near) - base
-        self._norm = self._measure(self._residual)
-        self._started = True
+        known = self.grid.comm.tompi4py().bcast(guess.any())
+        self._norm = self._norm_of(guess if known else self._near)
+
+    def _respond(self, rhs, velocity):
+        """Set `velocity` to H (rhs - B^T f)."""
+        rhs.copy(self._rhs)
+        self.spread_add(self._rhs, -1.0)
+        self.response.respond(self._rhs, velocity)
+
+    def _norm_of(self, velocity):
+        """Norm of the residual that an error as large as these velocities in the tube leaves."""
+        block = self.block
+        at_markers = block.interpolate(velocity)
+        caused = self._respond_near(block.spread_markers(at_markers))
+        square, response = at_markers @ at_markers, at_markers @ block.interpolate(caused)
+        factor = square / response if response else 0.0
+        self._residual.getArray()[:] = factor * block.forces_of(caused)
+        return self._measure(self._residual)
 
     def _measure(self, residual):
         """Norm of a residual as the iteration measures it."""
@@ -214,9 +233,12 @@ class ForceSolver:
 
     def finish(self, rhs, velocity):
         """Make `velocity` hold everywhere."""
-        rhs.copy(self._rhs)
-        self.spread_add(self._rhs, -1.0)
-        self.response.respond(self._rhs, velocity)
+        self._respond(rhs, velocity)
+        # The energy law asks for f = B u where f is large, more than for the momentum.
+        near = self.access.from_tube(velocity)
+        self._residual.getArray()[:] = self.force - self.block.forces_of(near)
+        self.arcs.correct(self._residual, velocity)
+        self.force = self.force + self._residual.getArray(readonly=True)
         self.arcs.age()
         self.begin()
 

@@ -72,11 +72,22 @@ class ImplicitForce:
         """Factor of J^T W J in the momentum matrix."""
         return self.interval * self.interpolation.spreading_scale
 
+    def ratio(self, fluid):
+        """How many times stiffer the membrane is than the fluid, by diagonals of matrices."""
+        membrane, grid = self.stiffness.membrane, self.interpolation.grid
+        stiffest = max(membrane.sigma0 / membrane.ds**2, 4 * membrane.bending / membrane.ds**4)
+        diagonal = fluid.rho / self.interval + 2 * fluid.mu * (1 / grid.dx**2 + 1 / grid.dy**2)
+        return self.scale * stiffest / diagonal
+
     def root(self):
         """The matrix C with C^T C = W, times the square root of that factor, on rank 0."""
         root = self.stiffness.root()
         root.scale(np.sqrt(self.scale))
         return root
+
+    def first_guess(self):
+        """First guess of the force f = B u, on rank 0."""
+        return np.sqrt(self.scale) * self.stiffness.first_rates(self.interval)
 
     def add_to(self, velocity, result):
         """Add its product with `velocity` to `result`.  Collective."""

@@ -228,8 +228,8 @@ def _steps_table(records):
         f"Medians over the steps after the first {WARM_UP}; milliseconds. Iterations: momentum + "
         "Poisson (mbe, ep), coupled (be), coupled + tangent (gbe, gcn). Fluid: CG or FGMRES with "
         "its preconditioner. Rest: interpolation, forces, diagnostics, output. Times faster: by "
-        "the fastest steps, as other work on the machine only adds time. Memory: most that all ranks "
-        "held, interpreter and libraries (some 100 MB a rank) included. "
+        "the fastest steps, as other work on the machine only adds time. Memory: most that all "
+        "ranks held, interpreter and libraries (some 100 MB a rank) included. "
         f"{os.cpu_count()} cores; at the end of the benchmark {os.getloadavg()[0]:.1f} processes "
         "wanted to run (load average).\n\n"
         + report.markdown_table(header, rows))
