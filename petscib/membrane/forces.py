@@ -100,8 +100,8 @@ class Stiffness:
     tangent : ndarray, shape (M, 2)
         At the half points; None without tension.
     reset : ndarray, shape (M,), optional
-        Stretching, at the half points, by which the membrane has just been put right, and which it
-        is therefore going to lose again: for a first guess.
+        Stretching that the tension of the last step was for, less that which the next starts from,
+        at the half points: for a first guess.
     """
 
     def __init__(self, membrane, tangent, reset=None):

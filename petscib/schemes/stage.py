@@ -86,7 +86,8 @@ class StageScheme:
             interpolation.destroy()
         history = problem.next_history(state, stage)
         if self.implicit and rate is not None and not problem.evolve:
-            history["stretch_reset"] = state.stretch + dt * rate - stretch
+            # The tension was that of the stage.
+            history["stretch_reset"] = state.stretch + self.theta * dt * rate - stretch
         end = State(
             state.step + 1, state.time + dt, velocity, pressure, markers, stretch, history
         )

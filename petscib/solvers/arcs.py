@@ -22,8 +22,8 @@ SHORTEST = 4 * OVERLAP  # share of markers for which another arc is worth while
 # Relative change of the membrane's matrix beyond which a factorisation of it is made anew: what a
 # stale one costs in iterations would then be more than what it saves.
 LARGE_DRIFT = 0.01
-# Ratio of the membrane's stiffness to the fluid's beyond which it is not cut.  It is 5e8 with the
-# default spacing and viscosity for sigma0 = 1e9 and dt = h; ten times more, the defect of the
+# Ratio of the membrane's stiffness to the fluid's beyond which it is not cut; with the default
+# spacing and viscosity it is 5e8 for sigma0 = 1e9 and dt = h.  At ten times more, the defect of the
 # energy law would pass 1e-6.
 STIFFEST = 1e9
 

@@ -5,17 +5,8 @@ from petsc4py import PETSc
 
 from ..fluid.operators import assemble
 from .biharmonic import Spectrum, across
-from .transforms import (
-    NO_FLUX,
-    WALL_AT_POINT,
-    Field,
-    Slabs,
-    SpectralSolver,
-    X,
-    Y,
-    attribute,
-    transform,
-)
+from .spectral import NO_FLUX, WALL_AT_POINT, Field, Slabs, SpectralSolver, X, Y, transform
+from .transforms import attribute
 
 
 class StreamWindow:

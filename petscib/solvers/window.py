@@ -2,7 +2,7 @@
 
 Forces near a membrane, and the velocities that they cause there, need no transforms of the whole
 box.  Along the direction in which the window is long compared with the box, lines are transformed
-whole (see `transforms`), but only those that cross the window.  For each wave number there remains
+whole (see `spectral`), but only those that cross the window.  For each wave number there remains
 
     (a + b lambda_k) y_j - b / h^2 (y_{j-1} - 2 y_j + y_{j+1}) = r_j
 
@@ -19,7 +19,7 @@ import numpy as np
 from petsc4py import PETSc
 from scipy.linalg import lapack
 
-from .transforms import Slabs, X, Y, transform, velocity_fields
+from .spectral import Slabs, X, Y, transform, velocity_fields
 
 
 def _pivot(first, phi):
