@@ -258,11 +258,11 @@ TABLE = {option.name: option for option in _ROWS}
 
 SOLVERS = (
     ("momentum_", "implicit velocity of ep, mbe, mcn (CG with GAMG on the fluid's matrix)"),
-    ("momentum_tube_", "direct solver of the unknowns near the membrane, on rank 0"),
+    ("momentum_tube_", "direct solver of the unknowns near the membrane"),
     ("momentum_condense", "false: no such solver, and GAMG on the assembled matrix instead"),
     ("poisson_", "pressure projection (CG with GAMG)"),
-    ("coupled_", "velocity and pressure together, be, cn, gbe, gcn (FGMRES)"),
-    ("coupled_tube_", "direct solver of the unknowns near the membrane, on rank 0"),
+    ("coupled_", "velocity and pressure together, be, cn, gbe, gcn (FGMRES; CG with -fft)"),
+    ("coupled_tube_", "direct solver of the unknowns near the membrane"),
     ("coupled_velocity_", "velocity solve inside its preconditioner"),
     ("coupled_poisson_", "pressure solve inside its preconditioner"),
 )

@@ -290,7 +290,7 @@ class Simulation:
 
     def _warn_of_unread_options(self):
         """Name options for the solvers that no solver has read, once all have been set up."""
-        # The tube's solver lives on rank 0 only.
+        # The tube's solver need not live on every rank.
         for name in solver_options.unread(self.progress.solver_options):
             self.results.say(f"petscib: no solver has read -{name}")
 

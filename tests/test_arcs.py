@@ -86,11 +86,16 @@ def test_a_stiff_membrane_stays_whole(short_arcs, monkeypatch):
 
 @pytest.mark.parallel([1, 2, 3])
 @pytest.mark.parametrize("scheme", ["mbe", "be", "cn", "gbe"])
-def test_a_step_closes_the_energy_law(short_arcs, scheme, tmp_path):
+def test_steps_close_the_energy_law_and_have_no_divergence(short_arcs, scheme, tmp_path):
     import runs
 
     simulation = runs.prepare(tmp_path, scheme=scheme, sigma0="1e9", stag_grid_x="32", fft="",
                               flow="shear", shear_rate="1", ledger="error", ledger_tol="1e-6",
                               ts_max_steps="4", ts_max_time="10")
     simulation.run()
+    operators, velocity = simulation.problem.operators, simulation.state.velocity
+    divergence = simulation.problem.grid.pressure_vector()
+    operators.divergence.mult(velocity, divergence)
+    size = [vector.norm(PETSc.NormType.INFINITY) for vector in (divergence, velocity)]
+    assert size[0] * simulation.problem.grid.dx <= 1e-5 * size[1]
     simulation.destroy()

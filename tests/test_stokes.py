@@ -296,6 +296,39 @@ def test_any_krylov_method_serves(ksp_type):
 
 
 @pytest.mark.parallel([1, 2])
+def test_a_guess_much_too_fast_costs_no_accuracy(ranks):
+    case = Case(1e5, "rest")
+    expected = whole_iteration(case)
+    with dense.petsc_options(coupled_ksp_rtol=1e-11, **TRANSFORM):
+        solver = case.new_solver()
+        velocity, pressure = case.guesses()
+        case.update(solver)
+        solver.solve(case.rhs, velocity, pressure)
+        velocity.scale(500.0)
+        solver.solve(case.rhs, velocity, pressure)
+        solver.destroy()
+    for one, other in zip(case.natural(velocity, pressure), expected):
+        assert_close(one, other, 1e-9)
+
+
+@pytest.mark.parallel([1, 2])
+def test_each_solve_is_measured_by_its_own_right_hand_side(ranks):
+    case = Case(1e5, "rest")
+    with dense.petsc_options(coupled_ksp_rtol=1e-10):
+        solver = case.new_solver()
+        answers = []
+        for factor in (1.0, 1e-6):
+            rhs = case.rhs.copy()
+            rhs.scale(factor)
+            velocity, pressure = case.guesses()
+            solver.update(INTERVAL)
+            solver.solve(rhs, velocity, pressure)
+            answers.append(dense.velocity(case.grid, velocity) / factor)
+        solver.destroy()
+    assert_close(answers[1], answers[0], 1e-7)
+
+
+@pytest.mark.parallel([1, 2])
 def test_without_a_membrane_one_application_solves(ranks):
     case = Case(1e5)
     with dense.petsc_options(coupled_ksp_type="preonly", **TRANSFORM):

@@ -35,7 +35,8 @@ A side of period a lacks the last column of u, or row of v.  The group /fluid ha
 step, and ``initial_area`` and ``initial_perimeter``, to which the errors in diagnostics.csv refer.
 
 /history holds what a scheme carries from step to step besides (`State.history`): a dataset for an
-array of the markers, a group with u and v for a velocity, a group with p for a pressure.
+array of the markers or half points, a group with u and v for a velocity, a group with p for a
+pressure.
 """
 
 import json
@@ -184,7 +185,8 @@ def _history(path, grid, comm, value):
             return [_pressure(path, grid, value)]
         return _velocity(path, grid, value)
     value = np.asarray(value, dtype=float)
-    return [Dataset(path, value, comm.bcast(value.shape), unit="", location="markers")]
+    location = "markers or half points"
+    return [Dataset(path, value, comm.bcast(value.shape), unit="", location=location)]
 
 
 def read_header(path):

@@ -9,10 +9,10 @@ from ..solvers.anderson import Anderson
 from ..solvers.saddle import CoupledSolver
 from .stage import StageScheme
 
-# A pass is solved this much more accurately than the positions changed in the pass before, the
-# last ones by this fraction of the iteration's tolerance.  Were they less accurate, the iteration
-# would lose its way in their noise at large time steps.
+# Tolerance of a pass, relative to the change of the positions in the pass before ...
 INNER_FRACTION = 0.005
+# ... and at least, relative to that of the tangent iteration.  Were the last passes less accurate,
+# the iteration would lose its way in their noise at large time steps.
 LAST_FRACTION = 0.1
 ANDERSON_DEPTH = 30
 
@@ -71,7 +71,7 @@ class Geometric(StageScheme):
                 #     = mu Laplacian w + F[force^n - theta dt W J w],  div w = 0
                 self.set_equations(state, dt, interpolation, tangent)
                 with phase("coupled solve"):
-                    if not passes:
+                    if not passes:  # only now the solver knows of the membrane
                         self.solver.begin(stage, pressure)
                     rtol = max(INNER_FRACTION * change, least)
                     iterations += self.solver.iterate(self._rhs, stage, rtol)

@@ -19,7 +19,7 @@ class StageScheme:
     """
 
     advice = "try a smaller -ts_dt"
-    implicit = True
+    implicit = True  # whether the tension acts at the stage
 
     def __init__(self, problem, theta, solver):
         self.problem = problem
@@ -86,7 +86,7 @@ class StageScheme:
             interpolation.destroy()
         history = problem.next_history(state, stage)
         if self.implicit and rate is not None and not problem.evolve:
-            # The tension was that of the stage.
+            # What the next step's tension starts from is not what this one's was, at the stage.
             history["stretch_reset"] = state.stretch + self.theta * dt * rate - stretch
         end = State(
             state.step + 1, state.time + dt, velocity, pressure, markers, stretch, history

@@ -12,7 +12,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from ..events import phase
-from .block import TubeBlock, TubeDirect
+from .block import TubeBlock, TubeDirect, tube_blocks
 from .condensation import TubeAccess
 from .stream import divergence_free_basis
 from .tube import Tube
@@ -94,16 +94,14 @@ class TubeArcs:
         self.layers, self.solenoidal = layers, solenoidal
         self.direct = TubeDirect(prefix)
         self._vector = vector
-        self._tube = self._access = self._rows = None
+        self._tube = self._access = self._rows = self._root = None
         self._factored = False
 
-    def place(self, stencil, tube, ratio, changed):
+    def place(self, tube, ratio, changed):
         """Take new positions of the markers.
 
         Parameters
         ----------
-        stencil : Stencil
-            Of all markers, on rank 0.
         tube : Tube
             Around all markers, on rank 0.
         ratio : float
@@ -116,6 +114,7 @@ class TubeArcs:
         if self.comm.size > 1:
             parts = None
             if self.comm.rank == 0:
+                stencil = tube.stencil
                 self._shares = share_markers(
                     len(stencil.positions), self.comm.size, ratio > STIFFEST)
                 parts = [stencil.select(markers) for markers, _ in self._shares]
@@ -128,10 +127,7 @@ class TubeArcs:
                 self.direct.move()
             return
         self._release()
-        faces, shell = (PETSc.IS().createGeneral(numbers, comm=PETSc.COMM_SELF)
-                        for numbers in (tube.faces, tube.shell_faces))
-        (matrix,) = self.fluid.matrix.createSubMatrices([faces], [faces])
-        (self._coupling,) = self.fluid.matrix.createSubMatrices([faces], [shell])
+        matrix, self._coupling = tube_blocks(self.fluid.matrix, tube)
         self._access = TubeAccess(self._vector, tube.faces, tube.shell_faces)
         self._weights = self._shares_of_faces()
         block = TubeBlock(tube, matrix)
@@ -166,7 +162,9 @@ class TubeArcs:
                 parts = [take_rows(root, *share) for share in self._shares]
             rows, own, csr = self.comm.scatter(parts)
             shape = len(rows), 2 * len(self._tube.stencil.positions)
-            root = PETSc.Mat().createAIJ(shape, csr=csr, comm=PETSc.COMM_SELF)
+            if self._root is not None:
+                self._root.destroy()
+            self._root = root = PETSc.Mat().createAIJ(shape, csr=csr, comm=PETSc.COMM_SELF)
         else:
             rows, own = np.arange(forces.getSize()), np.ones(forces.getSize(), dtype=bool)
         self.direct.block.set(root)
@@ -227,7 +225,9 @@ class TubeArcs:
     def correct(self, defect, velocity):
         """Change the velocities in the tube such that B u - f grows by a small defect.
 
-        Exactly so with one arc; with several, the more nearly the farther from their ends.
+        Exactly so with one arc just factored; with several, the more nearly the farther from their
+        ends; with an older factorisation, but for a part as small as LARGE_DRIFT.  The change is
+        without divergence in the tubes only, not in the cells around them.
 
         Parameters
         ----------

@@ -23,7 +23,7 @@ Numer. Anal. 20 (1983) 59-71), which this is in the limit of large b.
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from .spectral import WALL_AT_POINT, Slabs, X, Y, transform
+from .spectral import WALL_AT_POINT, Slabs, transform
 
 PARITIES = slice(0, None, 2), slice(1, None, 2)  # odd wave numbers, even ones
 
@@ -147,8 +147,3 @@ class Spectrum:
     def destroy(self):
         """Free the vector.  Collective."""
         self.slabs.vector.destroy()
-
-
-def across(axis):
-    """The other direction."""
-    return X if axis == Y else Y

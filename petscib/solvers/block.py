@@ -29,6 +29,19 @@ def upper_part(matrix):
     return rows[upper], columns[upper], values[upper]
 
 
+def tube_blocks(fluid, tube):
+    """Blocks of the fluid matrix: a tube's faces among themselves, and with the shell's.
+
+    Collective; each rank gets those of its own tube (sequential).
+    """
+    faces = PETSc.IS().createGeneral(tube.faces, comm=PETSc.COMM_SELF)
+    shell = PETSc.IS().createGeneral(tube.shell_faces, comm=PETSc.COMM_SELF)
+    return (
+        fluid.createSubMatrices([faces], [faces])[0],
+        fluid.createSubMatrices([faces], [shell])[0],
+    )
+
+
 class TubeBlock:
     """B, and A0 if it is wanted, among the faces of a tube.  Not collective.
 
@@ -49,13 +62,16 @@ class TubeBlock:
     def __init__(self, tube, fluid=None):
         self.size = len(tube.faces)
         self.fluid = fluid
-        self.root = None
+        self.root = self.interpolation = None
         if self.size:
             self.move(tube)
             self._face, self._marker = self.interpolation.createVecs()
 
     def move(self, tube):
         """Take new positions of the markers in a tube of the same faces."""
+        # Left to Python, what is dropped in each pass would pile up until the end of the step.
+        if self.interpolation is not None:
+            self.interpolation.destroy()
         self.interpolation = tube.interpolation()
         self.positions = tube.stencil.positions
 
@@ -209,7 +225,7 @@ class TubeDirect:
 
     def __init__(self, prefix):
         self.system = ForceSystem(prefix)
-        self.block = self.basis = self._forces = None
+        self.block = self.basis = self._projected = self._forces = None
 
     def set_block(self, block, basis=None):
         """Take a new tube's block."""
@@ -225,20 +241,24 @@ class TubeDirect:
 
     def move(self):
         """Take the block's new positions of the markers."""
-        if self.block.size:
-            self._interpolation = self.block.interpolation
-            if self.basis is not None:
-                self._interpolation = self._interpolation.matMult(self.basis)
-            self._forces = None
+        if not self.block.size:
+            return
+        for product in (self._projected, self._forces):
+            if product is not None:
+                product.destroy()
+        self._projected = self._forces = None
+        if self.basis is not None:
+            self._projected = self.block.interpolation.matMult(self.basis)
 
     def factor(self):
         """Factor for the block's present stiffness."""
         if self.block.size:
-            self._forces = self.block.root.matMult(self._interpolation, result=self._forces)
+            interpolation = self._projected or self.block.interpolation
+            self._forces = self.block.root.matMult(interpolation, result=self._forces)
             self.system.factor(self._forces)
-            self._factored = self._parts()
+            self._factored_for = self._dependencies()
 
-    def _parts(self):
+    def _dependencies(self):
         """What the block depends on besides the tube: C in units of its size, and the markers."""
         entries = self.block.root.getValuesCSR()[2]
         return entries / np.abs(entries).max(), self.block.positions
@@ -247,7 +267,8 @@ class TubeDirect:
         """Largest change of the block since it was factored: in C, or of a marker in cells."""
         if not self.block.size:
             return 0.0
-        return max(np.abs(new - old).max() for old, new in zip(self._factored, self._parts()))
+        pairs = zip(self._factored_for, self._dependencies())
+        return max(np.abs(new - old).max() for old, new in pairs)
 
     def _restrict(self, rhs):
         if self.basis is None:

@@ -1,4 +1,4 @@
-"""Sparse symmetric factorisation of a matrix on rank 0."""
+"""Sparse symmetric factorisation of a sequential matrix."""
 
 import numpy as np
 from petsc4py import PETSc

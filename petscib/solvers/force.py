@@ -30,17 +30,21 @@ from .block import TubeBlock
 from .condensation import TubeAccess
 from .tube import Tube
 
+# When the markers turn out to be this much slower than guessed, the solve goes on; though not below
+# the tolerance for the second, as at rest there is nothing to measure by.
+MUCH_SLOWER, LEAST_SLOWER = 0.1, 1e-3
+
 
 class ForceSolver:
     """Krylov iteration, by default conjugate gradients, for the membrane's force.  Collective.
 
     Solves with the membrane in almost the same place belong together::
 
-        solver.update(interpolation, force, changed)
+        solver.update(interpolation, force)
         solver.begin()
         solver.iterate(rhs, velocity)
         for ...:
-            solver.update(interpolation, force, changed)
+            solver.update(interpolation, force)
             solver.iterate(rhs, velocity)
         solver.finish(rhs, velocity)
 
@@ -71,10 +75,13 @@ class ForceSolver:
         self.layers = layers
         self._rhs = grid.velocity_vector()
         self.arcs = TubeArcs(grid, fluid, self._rhs, prefix + "tube_", layers, solenoidal)
-        self.ksp = self.window = self.block = self._tube = self._interpolation = None
-        self.begin()
+        self.ksp = self.window = self.block = self._tube = self._root = None
+        self._interpolation = self._interval = None
+        # On rank 0: the force f, the load b - B^T f on the tube's faces, and the velocities near
+        # the membrane that belong to it.
+        self.force = self._load = self._near = None
 
-    def update(self, interpolation, force, changed):
+    def update(self, interpolation, force):
         """Set the system for the membrane's present configuration.
 
         Parameters
@@ -82,19 +89,21 @@ class ForceSolver:
         interpolation : Interpolation
             With that of the last call, only the stiffness is taken anew.
         force : ImplicitForce
-        changed : bool
-            Whether the fluid matrix has.
         """
-        if interpolation is not self._interpolation:
+        changed, fresh = self.fluid.interval != self._interval, self._near is None
+        if changed or interpolation is not self._interpolation:
             self._place(interpolation.stencil, force.ratio(self.fluid), changed)
-            self._interpolation = interpolation
+            self._interpolation, self._interval = interpolation, self.fluid.interval
         root = force.root()
         self.block.set(root)
         if self.ksp is None:
-            self._create(root.getSize()[0] if self.block.size else 0)
+            self._create(root.getSize()[0])
         self.arcs.set_root(root, self._residual)
         self.arcs.factor()
-        self._guess = force.first_guess()
+        if self._root is not None:
+            self._root.destroy()
+        self._root = root
+        self._guess = force.first_guess() if fresh or changed else self.force
 
     def _place(self, stencil, ratio, changed):
         """Take new positions of the markers: as a rule, they are still in the same tube."""
@@ -109,7 +118,7 @@ class ForceSolver:
             self.access = TubeAccess(self._rhs, tube.faces)
             self.window = self.response.window(tube.face_positions())
             self.begin()
-        self.arcs.place(stencil, tube, ratio, changed)
+        self.arcs.place(tube, ratio, changed)
         self._tube = tube
 
     def _create(self, count):
@@ -165,20 +174,30 @@ class ForceSolver:
             load = force - block.spread(self.force)
             self._near += self._respond_near(load - self._load)
             self._load = load
-        self._residual.getArray()[:] = block.forces_of(self._near) - self.force
+        tolerance = self.ksp.getTolerances()[0] if rtol is None else rtol
+        iterations = self._improve(tolerance)
+        slower = self._speed_of(self._near) / self._speed if self._speed else 1.0
+        if slower < MUCH_SLOWER:  # than guessed: so was the tolerance, then
+            self._speed *= max(slower, LEAST_SLOWER)
+            self._norm *= max(slower, LEAST_SLOWER)
+            iterations += self._improve(tolerance)
+        self.access.set_tube(self._near, velocity)
+        return iterations
 
-        usual, atol = self.ksp.getTolerances()[:2]
-        least = (usual if rtol is None else rtol) * self._norm
+    def _improve(self, tolerance):
+        """Iterate until the residual is small enough.  Returns the iterations."""
+        block = self.block
+        self._residual.getArray()[:] = block.forces_of(self._near) - self.force
         self._products = []
-        with krylov.tolerances(self.ksp, 0.0, max(atol, least)):
+        least = max(self.ksp.getTolerances()[1], tolerance * self._norm)
+        with krylov.tolerances(self.ksp, 0.0, least):
             iterations = krylov.solve(
                 self.ksp, self._residual, self._change, self.what, krylov.advice(self.ksp)
             )
         change = self._change.getArray(readonly=True)
-        self.force += change
+        self.force = self.force + change
         self._load -= block.spread(change)
         self._near -= self._caused(change)
-        self.access.set_tube(self._near, velocity)
         return iterations
 
     def _start(self, rhs, force, velocity, slope):
@@ -193,14 +212,20 @@ class ForceSolver:
         self._load = force - self.block.spread(self.force)
         self._respond(rhs, velocity)
         self._near = self.access.from_tube(velocity)
-        known = self.grid.comm.tompi4py().bcast(guess.any())
-        self._norm = self._norm_of(guess if known else self._near)
+        if not self._speed_of(guess):
+            guess = self._near
+        self._speed, self._norm = self._speed_of(guess), self._norm_of(guess)
 
     def _respond(self, rhs, velocity):
         """Set `velocity` to H (rhs - B^T f)."""
         rhs.copy(self._rhs)
         self.spread_add(self._rhs, -1.0)
         self.response.respond(self._rhs, velocity)
+
+    def _speed_of(self, velocity):
+        """Size of the markers' velocities, on every rank, for an array over the tube's faces."""
+        speed = np.linalg.norm(self.block.interpolate(velocity))
+        return self.grid.comm.tompi4py().bcast(speed)
 
     def _norm_of(self, velocity):
         """Norm of the residual that an error as large as these velocities in the tube leaves."""

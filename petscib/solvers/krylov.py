@@ -146,7 +146,8 @@ def solve(ksp, rhs, solution, what, advice):
         On every rank, when the solve does not converge.
     """
     ksp.solve(rhs, solution)
-    if ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_DTOL:
+    diverged = ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_DTOL
+    if diverged and ksp.getInitialGuessNonzero():
         solution.set(0.0)
         ksp.solve(rhs, solution)
     if ksp.getConvergedReason() < 0:

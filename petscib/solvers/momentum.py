@@ -5,7 +5,7 @@ from petsc4py import PETSc
 
 from ..events import phase
 from . import krylov
-from .block import TubeBlock, TubeDirect
+from .block import TubeBlock, TubeDirect, tube_blocks
 from .condensation import Condensation
 from .force import ForceSolver
 from .tube import Tube
@@ -115,19 +115,6 @@ class WholeOperator:
         self.force.add_to(x, y)
 
 
-def tube_blocks(fluid, tube):
-    """Blocks of the fluid matrix: the tube's faces among themselves, and with the shell's.
-
-    Collective; the (sequential) answers are empty but on rank 0.
-    """
-    faces = PETSc.IS().createGeneral(tube.faces, comm=PETSc.COMM_SELF)
-    shell = PETSc.IS().createGeneral(tube.shell_faces, comm=PETSc.COMM_SELF)
-    return (
-        fluid.createSubMatrices([faces], [faces])[0],
-        fluid.createSubMatrices([faces], [shell])[0],
-    )
-
-
 class MomentumSolver:
     """Conjugate gradients for (A0 + theta dt F W J) u = b.  Collective.
 
@@ -157,37 +144,35 @@ class MomentumSolver:
         self.condensation = self.force_solver = self.direct = self._operator = self._rhs = None
 
     def _prepare_for_membrane(self):
-        self._rhs = self.fluid.matrix.createVecLeft()
-        self._operator = krylov.Operator(self._rhs)
-        if self.condense and self.exact:
+        if self.condense and krylov.has_exact_preconditioner(self.ksp):
             self.force_solver = ForceSolver(
                 self.grid, self.fluid, self.ksp.getPC().getPythonContext(), self.prefix,
                 self.defaults, "momentum", LAYERS_IF_EXACT, solenoidal=False,
             )
-        elif self.condense:
+            return
+        self._rhs = self.fluid.matrix.createVecLeft()
+        self._operator = krylov.Operator(self._rhs)
+        if self.condense:
             self.direct = TubeDirect(self.prefix + "tube_")
 
-    @property
-    def exact(self):
-        """Whether the preconditioner inverts A0."""
-        return krylov.has_exact_preconditioner(self.ksp)
-
     def update(self, interval, interpolation=None, stiffness=None):
-        """Set the system for theta dt = `interval` and the membrane's present configuration."""
-        changed = self.fluid.update(interval)
+        """Set the system for theta dt = `interval` and the membrane's present configuration.
+
+        A solver once used with a membrane stays one with a membrane.
+        """
+        self.fluid.update(interval)
         self._release()
         if interpolation is None:
             self.ksp.setOperators(self.fluid.matrix)
             return
-        if self._operator is None:
+        if self.force_solver is None and self._operator is None:
             self._prepare_for_membrane()
         force = ImplicitForce(interpolation, stiffness, interval)
         if self.force_solver:
-            if changed:
-                self.ksp.setOperators(self.fluid.matrix)
-                self.ksp.getPC().setUp()
+            self.ksp.setOperators(self.fluid.matrix)
+            self.ksp.getPC().setUp()
             with phase("tube set-up"):
-                self.force_solver.update(interpolation, force, changed)
+                self.force_solver.update(interpolation, force)
         elif self.condense:
             with phase("tube set-up"):
                 self.condensation = self._condense(force)

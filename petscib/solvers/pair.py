@@ -30,7 +30,11 @@ class PairLayout:
         return numbers - ranges[rank] + self._starts[rank] + faces[rank]
 
     def joint(self):
-        """A new pair vector, and vectors of its velocities and pressures in the same memory."""
+        """A new pair vector, and vectors of its velocities and pressures in the same memory.
+
+        PETSc does not notice that a write to one changes the others: before a norm of theirs is
+        asked for again, `stateIncrease` must tell it.
+        """
         values = np.zeros(self.vector.getLocalSize())
         parts = values, values[: self.count], values[self.count :]
         return [PETSc.Vec().createWithArray(part, comm=self.comm) for part in parts]

@@ -33,11 +33,6 @@ class PoissonSolver:
         self.ksp = krylov.create(self.matrix, prefix, defaults)
         self._rhs = self.matrix.createVecLeft()
 
-    @property
-    def exact(self):
-        """Whether the preconditioner inverts the matrix."""
-        return krylov.has_exact_preconditioner(self.ksp)
-
     def solve(self, source, solution):
         """Solve for `solution` (first guess on entry).  Collective.
 

@@ -41,6 +41,7 @@ class ProjectionPC:
         interval, scale = fluid.interval, pair.scale
         (force, source), (velocity, pressure) = self._source, self._found
         x.copy(self._given)
+        force.stateIncrease()  # it is part of that vector, and an inner solver may ask for its norm
         velocity.set(0.0)
         advice = krylov.advice(self._velocity)
         krylov.solve(self._velocity, force, velocity, "velocity", advice)

@@ -5,10 +5,10 @@ from petsc4py import PETSc
 
 from ..events import phase
 from . import krylov
-from .block import TubeBlock, TubeDirect
+from .block import TubeBlock, TubeDirect, tube_blocks
 from .condensation import Condensation
 from .force import ForceSolver
-from .momentum import FluidMatrix, ImplicitForce, tube_blocks
+from .momentum import FluidMatrix, ImplicitForce
 from .pair import FluidPair, PairLayout
 from .projection import ProjectionPC
 from .stream import TubeSaddle, divergence_free_basis
@@ -64,7 +64,8 @@ class CoupledSolver:
     def update(self, interval, interpolation=None, stiffness=None):
         """Set the system for theta dt = `interval` and the membrane's present configuration.
 
-        With the interpolation of the last call, only the stiffness is taken anew.
+        With the interpolation of the last call, only the stiffness is taken anew.  A solver once
+        used with a membrane stays one with a membrane, and likewise without.
         """
         changed = self.fluid.update(interval)
         if changed or interpolation is None:
@@ -76,7 +77,7 @@ class CoupledSolver:
         if interpolation is not None:
             with phase("tube set-up"):
                 force = ImplicitForce(interpolation, stiffness, interval)
-                self._method.update(interpolation, force, changed)
+                self._method.update(interpolation, force)
 
     def solve(self, rhs, velocity, pressure):
         """Solve for `velocity` and `pressure` (first guesses on entry).
@@ -115,7 +116,7 @@ class CoupledSolver:
             Force on the faces.
         velocity : PETSc.Vec
         rtol : float, optional
-            In place of the solver's relative tolerance, where that means anything.
+            In place of the solver's relative tolerance; with FGMRES, where it is larger.
 
         Returns
         -------
@@ -131,7 +132,8 @@ class CoupledSolver:
 
     def destroy(self):
         """Free the solver.  Collective."""
-        for part in (self._method, self.ksp, self.operator, self.pair, self.layout):
+        parts = (self._method, self.ksp, self.operator, self.pair, self.layout, self.fluid.matrix)
+        for part in parts:
             if part is not None:
                 part.destroy()
 
@@ -146,19 +148,21 @@ class CondensedMethod:
 
     def __init__(self, solver):
         self.solver = solver
-        self.direct = self.condensation = self._tube = self._interpolation = None
+        self.direct = self.condensation = self._tube = None
+        self._interpolation = self._interval = None
         self._rhs, *self._force = solver.layout.joint()
         self._solution, *self._found = solver.layout.joint()
         self._condensed = None
 
-    def update(self, interpolation, force, changed):
+    def update(self, interpolation, force):
         """Set the system for the membrane's present configuration."""
         if self.direct is None:
             self.direct = TubeDirect(self.solver.prefix + "tube_")
             self._condensed = self._rhs.duplicate()
-        if interpolation is not self._interpolation:
+        changed = force.interval != self._interval
+        if changed or interpolation is not self._interpolation:
             self._place(interpolation.stencil, changed)
-            self._interpolation = interpolation
+            self._interpolation, self._interval = interpolation, force.interval
         self.direct.block.set(force.root())
         self.direct.factor()
         self.solver.operator.act_as(self.condensation)
@@ -219,6 +223,7 @@ class CondensedMethod:
         """Solve, and set `velocity`."""
         solver, scale = self.solver, self.solver.pair.scale
         rhs.copy(self._force[0])
+        self._rhs.stateIncrease()  # through its parts: PETSc must not take its norm for known
         if solver.flux is not None:
             solver.flux.copy(self._force[1])
             self._force[1].scale(scale)
@@ -273,9 +278,9 @@ class ForceMethod:
         self._rest, self._slope = vector.duplicate(), vector.duplicate()
         self._lift = self._lift_force = self._lift_interval = None
 
-    def update(self, interpolation, force, changed):
+    def update(self, interpolation, force):
         """Set the system for the membrane's present configuration."""
-        self.forces.update(interpolation, force, changed)
+        self.forces.update(interpolation, force)
 
     def begin(self, velocity, pressure):
         """Take first guesses."""

@@ -4,7 +4,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from ..fluid.operators import assemble
-from .biharmonic import Spectrum, across
+from .biharmonic import Spectrum
 from .spectral import NO_FLUX, WALL_AT_POINT, Field, Slabs, SpectralSolver, X, Y, transform
 from .transforms import attribute
 
@@ -35,7 +35,7 @@ class StreamWindow:
 
     def __init__(self, grid, spectrum, bounds, faces, places, vector):
         self.spectrum, self.vector = spectrum, vector
-        self._first = across(spectrum.axis)
+        self._first = 1 - spectrum.axis
         rows, columns = (
             slice(max(start, 1), min(stop + 1, cells))
             for (start, stop), cells in zip(bounds, (grid.n, grid.m))
@@ -142,7 +142,7 @@ class StokesTransform:
         on_wall = np.concatenate((faces[0][1] % grid.m == 0, faces[1][0] % grid.n == 0))
         self._walls = places[on_wall]
         first = Y if grid.dm.getProcSizes()[1] == 1 else X
-        self._box = StreamWindow(grid, self._spectrum(across(first)), ((0, grid.n), (0, grid.m)),
+        self._box = StreamWindow(grid, self._spectrum(1 - first), ((0, grid.n), (0, grid.m)),
                                  faces, places, layout.velocity.duplicate())
 
     def _spectrum(self, axis):
@@ -178,7 +178,7 @@ class StokesTransform:
         first = Y if lines[X] <= lines[Y] else X
         count = sum(part.shape[1] for part in faces)
         vector = PETSc.Vec().createMPI((count, PETSc.DETERMINE), comm=grid.comm)
-        return StreamWindow(grid, self._spectrum(across(first)), bounds, faces, np.arange(count),
+        return StreamWindow(grid, self._spectrum(1 - first), bounds, faces, np.arange(count),
                             vector)
 
     def respond(self, force, velocity):

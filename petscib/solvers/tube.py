@@ -31,7 +31,7 @@ class Tube:
     """The cells around all faces that the markers see, and their faces.
 
     The implicit membrane force acts within it, so that the equations of the fluid alone couple
-    it to the rest of the grid.  Lives on rank 0; elsewhere it is empty.  Not collective.
+    it to the rest of the grid.  Lives where the markers do; elsewhere it is empty.  Not collective.
 
     Parameters
     ----------
