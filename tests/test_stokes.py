@@ -299,16 +299,15 @@ def test_any_krylov_method_serves(ksp_type):
 def test_a_guess_much_too_fast_costs_no_accuracy(ranks):
     case = Case(1e5, "rest")
     expected = whole_iteration(case)
-    with dense.petsc_options(coupled_ksp_rtol=1e-11, **TRANSFORM):
+    with dense.petsc_options(coupled_ksp_rtol=1e-4, **TRANSFORM):
         solver = case.new_solver()
-        velocity, pressure = case.guesses()
         case.update(solver)
-        solver.solve(case.rhs, velocity, pressure)
-        velocity.scale(500.0)
-        solver.solve(case.rhs, velocity, pressure)
+        for factor in (1.0, 900.0):
+            velocity, pressure = case.guesses()
+            dense.set_velocity(case.grid, velocity, factor * expected[0])
+            solver.solve(case.rhs, velocity, pressure)
+            assert_close(dense.velocity(case.grid, velocity), expected[0], 1e-6)
         solver.destroy()
-    for one, other in zip(case.natural(velocity, pressure), expected):
-        assert_close(one, other, 1e-9)
 
 
 @pytest.mark.parallel([1, 2])
