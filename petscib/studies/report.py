@@ -26,7 +26,7 @@ def number(value, digits=3):
     if value == 0:
         return "0"
     if 0.01 <= abs(value) < 10 ** max(digits, 4):
-        return f"{value:.{digits}g}"
+        return f"{float(f'{value:.{digits}g}'):g}"
     mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
     return f"{mantissa}e{int(exponent)}"
 
