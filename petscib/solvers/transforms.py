@@ -26,9 +26,12 @@ def use(prefix, preconditioner, alone):
         gradients find the membrane's force (see `force`).
     """
     if not PETSc.Options(prefix).hasName("pc_type"):
-        # Less accurate solves would be little cheaper, and show in the energy law.
-        krylov.set_defaults(
-            prefix, {"ksp_type": "preonly"} if alone else {"ksp_type": "cg", "ksp_rtol": 1e-7})
+        defaults = {"ksp_type": "preonly"}
+        if not alone:
+            # Less accurate solves would be little cheaper, and show in the energy law; and many
+            # iterations are cheap too, where a membrane that nearly touches itself needs them.
+            defaults = {"ksp_type": "cg", "ksp_rtol": 1e-7, "ksp_max_it": 1000}
+        krylov.set_defaults(prefix, defaults)
         name = f"{preconditioner.__module__}.{preconditioner.__name__}"
         krylov.set_defaults(prefix, {"pc_type": "python", "pc_python_type": name})
 
