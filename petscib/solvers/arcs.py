@@ -97,13 +97,15 @@ class TubeArcs:
         self._tube = self._access = self._rows = self._root = None
         self._factored = False
 
-    def place(self, tube, ratio, changed):
+    def place(self, tube, block, ratio, changed):
         """Take new positions of the markers.
 
         Parameters
         ----------
         tube : Tube
             Around all markers, on rank 0.
+        block : TubeBlock
+            Of that tube, in its present place: on one rank it is the arc's too.
         ratio : float
             Of the membrane's stiffness to the fluid's.
         changed : bool
@@ -119,18 +121,21 @@ class TubeArcs:
                     len(stencil.positions), self.comm.size, ratio > STIFFEST)
                 parts = [stencil.select(markers) for markers, _ in self._shares]
             tube = Tube(self.grid, self.comm.scatter(parts), self.layers)
+            block = None
         same = not changed and self._tube is not None and tube.has_faces_of(self._tube)
         self._tube = tube
         if self.comm.allreduce(same, MPI.LAND):
-            if self.direct.block.size:
+            if block is None and self.direct.block.size:
                 self.direct.block.move(tube)
-                self.direct.move()
+            self.direct.move()
             return
         self._release()
         matrix, self._coupling = tube_blocks(self.fluid.matrix, tube)
         self._access = TubeAccess(self._vector, tube.faces, tube.shell_faces)
         self._weights = self._shares_of_faces()
-        block = TubeBlock(tube, matrix)
+        if block is None:
+            block = TubeBlock(tube)
+        block.fluid = matrix
         basis = divergence_free_basis(tube) if self.solenoidal and block.size else None
         self.direct.set_block(block, basis)
         self._factored = False

@@ -118,7 +118,7 @@ class ForceSolver:
             self.access = TubeAccess(self._rhs, tube.faces)
             self.window = self.response.window(tube.face_positions())
             self.begin()
-        self.arcs.place(tube, ratio, changed)
+        self.arcs.place(tube, self.block, ratio, changed)
         self._tube = tube
 
     def _create(self, count):
@@ -204,22 +204,27 @@ class ForceSolver:
         """Take the force that belongs to the first guess, and the velocities that belong to it."""
         guess = self.access.from_tube(velocity)
         self.force = self._guess
-        rhs.copy(self._rhs)
-        self.spread_add(self._rhs, -1.0)
+        self._subtract_force(rhs)
         self._change.getArray()[:] = self.force
         self.arcs.add_forces(self._rhs, velocity, slope, self._change)
         self.force = self._change.getArray(readonly=True).copy()
         self._load = force - self.block.spread(self.force)
         self._respond(rhs, velocity)
         self._near = self.access.from_tube(velocity)
-        if not self._speed_of(guess):
+        self._speed = self._speed_of(guess)
+        if not self._speed:
             guess = self._near
-        self._speed, self._norm = self._speed_of(guess), self._norm_of(guess)
+            self._speed = self._speed_of(guess)
+        self._norm = self._norm_of(guess)
+
+    def _subtract_force(self, rhs):
+        """Prepare rhs - B^T f."""
+        rhs.copy(self._rhs)
+        self.spread_add(self._rhs, -1.0)
 
     def _respond(self, rhs, velocity):
         """Set `velocity` to H (rhs - B^T f)."""
-        rhs.copy(self._rhs)
-        self.spread_add(self._rhs, -1.0)
+        self._subtract_force(rhs)
         self.response.respond(self._rhs, velocity)
 
     def _speed_of(self, velocity):

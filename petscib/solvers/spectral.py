@@ -74,13 +74,26 @@ class Field(NamedTuple):
     @property
     def unknown(self):
         """The part of `index` that is to be solved for."""
-        (rows, columns), (y, x) = self.index.shape, self.bases
-        return self.index[y.given : rows - y.given, x.given : columns - x.given]
+        return self.index[self._inside]
 
     @property
     def given(self):
         """The other PETSc numbers."""
-        return np.setdiff1d(self.index, self.unknown)
+        outside = np.ones(self.index.shape, dtype=bool)
+        outside[self._inside] = False
+        return self.index[outside]
+
+    @property
+    def _inside(self):
+        (rows, columns), (y, x) = self.index.shape, self.bases
+        return slice(y.given, rows - y.given), slice(x.given, columns - x.given)
+
+
+def given_places(fields, vector):
+    """Places of the given points of some fields in this rank's part of a vector."""
+    numbers = np.concatenate([field.given for field in fields])
+    start, end = vector.getOwnershipRange()
+    return numbers[(start <= numbers) & (numbers < end)] - start
 
 
 class Slabs:

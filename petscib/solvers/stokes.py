@@ -5,7 +5,18 @@ from petsc4py import PETSc
 
 from ..fluid.operators import assemble
 from .biharmonic import Spectrum
-from .spectral import NO_FLUX, WALL_AT_POINT, Field, Slabs, SpectralSolver, X, Y, transform
+from .spectral import (
+    NO_FLUX,
+    WALL_AT_POINT,
+    Field,
+    Slabs,
+    SpectralSolver,
+    X,
+    Y,
+    given_places,
+    transform,
+    velocity_fields,
+)
 from .transforms import attribute
 
 
@@ -139,8 +150,7 @@ class StokesTransform:
         places = np.concatenate([
             grid.local_positions(index, box, layout.velocity).ravel()
             for index, box in zip((grid.u_index, grid.v_index), boxes)])
-        on_wall = np.concatenate((faces[0][1] % grid.m == 0, faces[1][0] % grid.n == 0))
-        self._walls = places[on_wall]
+        self._walls = given_places(velocity_fields(grid), layout.velocity)
         first = Y if grid.dm.getProcSizes()[1] == 1 else X
         self._box = StreamWindow(grid, self._spectrum(1 - first), ((0, grid.n), (0, grid.m)),
                                  faces, places, layout.velocity.duplicate())

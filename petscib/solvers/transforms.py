@@ -4,12 +4,11 @@ They are preconditioners that PETSc makes by name: ``-poisson_pc_type python
 -poisson_pc_python_type petscib.solvers.transforms.PoissonTransform``.
 """
 
-import numpy as np
 from petsc4py import PETSc
 
 from ..errors import InputError
 from . import krylov
-from .spectral import NO_FLUX, Field, SpectralSolver, velocity_fields
+from .spectral import NO_FLUX, Field, SpectralSolver, given_places, velocity_fields
 from .window import Window
 
 
@@ -31,9 +30,8 @@ def use(prefix, preconditioner, alone):
             # Less accurate solves would be little cheaper, and show in the energy law; and many
             # iterations are cheap too, where a membrane that nearly touches itself needs them.
             defaults = {"ksp_type": "cg", "ksp_rtol": 1e-7, "ksp_max_it": 1000}
-        krylov.set_defaults(prefix, defaults)
         name = f"{preconditioner.__module__}.{preconditioner.__name__}"
-        krylov.set_defaults(prefix, {"pc_type": "python", "pc_python_type": name})
+        krylov.set_defaults(prefix, {**defaults, "pc_type": "python", "pc_python_type": name})
 
 
 def attribute(matrix, name):
@@ -68,9 +66,7 @@ class FluidTransform:
             fields = velocity_fields(grid)
             vector = grid.velocity_vector()
             self._solver = SpectralSolver(grid, fields, vector)
-            walls = np.concatenate([field.given for field in fields])
-            start, end = vector.getOwnershipRange()
-            self._walls = walls[(start <= walls) & (walls < end)] - start
+            self._walls = given_places(fields, vector)
             vector.destroy()
         if coefficients != self._coefficients:
             self._coefficients = coefficients
