@@ -6,7 +6,7 @@ from petsc4py import PETSc
 
 from . import energy
 from .energy import Ledger
-from .membrane import geometry
+from .membranes import geometry
 
 SOLVERS = ("momentum", "poisson", "coupled", "picard")
 COLUMNS = (

@@ -18,7 +18,7 @@ from dataclasses import astuple, dataclass, fields
 
 import numpy as np
 
-from .membrane import geometry
+from .membranes import geometry
 
 
 @dataclass

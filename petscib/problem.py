@@ -7,7 +7,7 @@ from petsc4py import PETSc
 
 from .coupling.interpolation import Interpolation
 from .events import phase
-from .membrane import geometry
+from .membranes import geometry
 
 
 @dataclass

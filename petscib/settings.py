@@ -12,7 +12,7 @@ import numpy as np
 
 from petscib.coupling.kernels import KERNELS
 from petscib.errors import InputError
-from petscib.membrane.shapes import ellipse_perimeter
+from petscib.membranes.shapes import ellipse_perimeter
 
 # The widest marker spacing, in cells. Prototypes were sound from 0.2 to 2 cells; wider and fluid
 # passes between the markers.

@@ -7,8 +7,8 @@ from .errors import InputError
 from .fluid.grid import Grid
 from .fluid.operators import Operators
 from .fluid.walls import Walls
-from .membrane import geometry, shapes
-from .membrane.forces import Membrane
+from .membranes import geometry, shapes
+from .membranes.forces import Membrane
 from .output import checkpoint
 from .problem import Problem, State
 from .settings import check_curve

@@ -5,8 +5,8 @@ import pytest
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from petscib.membrane import geometry, shapes
-from petscib.membrane.forces import Membrane
+from petscib.membranes import geometry, shapes
+from petscib.membranes.forces import Membrane
 
 COUNT = 12
 

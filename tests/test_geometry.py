@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from petscib.membrane import geometry, shapes
+from petscib.membranes import geometry, shapes
 
 ANGLES = (-120.0, -90.0, -37.0, 0.0, 25.0, 45.0, 90.0, 135.0, 180.0)
 

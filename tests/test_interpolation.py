@@ -7,7 +7,7 @@ from mpi4py import MPI
 from petscib.coupling.interpolation import Interpolation
 from petscib.coupling.kernels import KERNELS
 from petscib.fluid.grid import Grid
-from petscib.membrane import geometry, shapes
+from petscib.membranes import geometry, shapes
 
 DOMAIN = (-1.0, 2.0, 0.5, 2.5)
 ROUND_OFF = 1e-13  # relative

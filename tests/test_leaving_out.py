@@ -5,8 +5,8 @@ import runs
 from petsc4py import PETSc
 
 from petscib import events
-from petscib.membrane import geometry
-from petscib.membrane.forces import Membrane
+from petscib.membranes import geometry
+from petscib.membranes.forces import Membrane
 
 STEPS = 4
 SOME = -1  # often, by the solvers' convergence

@@ -5,7 +5,7 @@ import pytest
 from mpi4py import MPI
 
 from petscib import energy
-from petscib.membrane import geometry
+from petscib.membranes import geometry
 from petscib.schemes import SCHEMES, create
 
 IMPLICIT = [name for name in SCHEMES if name != "ep"]

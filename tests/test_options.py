@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from petscib import options, scenes
 from petscib.coupling.kernels import KERNELS
 from petscib.errors import InputError, SolveError
-from petscib.membrane.shapes import ellipse_perimeter
+from petscib.membranes.shapes import ellipse_perimeter
 from petscib.settings import given_text, text_of
 
 KINDS = {name: option.kind for name, option in options.TABLE.items()}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from petscib.fluid.flows import extensional
-from petscib.membrane import geometry
+from petscib.membranes import geometry
 from petscib.schemes import SCHEMES, Controls, create
 
 DT, RHO, MU, SIGMA0, BENDING, RATE = 0.05, 1.3, 0.7, 50.0, 0.02, 0.8

@@ -10,7 +10,7 @@ from petscib.errors import InputError
 from petscib.fluid.grid import Grid
 from petscib.fluid.operators import Operators
 from petscib.fluid.walls import Walls
-from petscib.membrane import geometry
+from petscib.membranes import geometry
 from petscib.solvers import krylov
 from petscib.solvers.momentum import FluidMatrix
 from petscib.solvers.pair import FluidPair, PairLayout

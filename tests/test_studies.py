@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from conftest import mpi_environment
 
-from petscib.membrane import shapes
+from petscib.membranes import shapes
 from petscib.output import tables
 from petscib.studies import (
     compare,

@@ -87,8 +87,8 @@ class Interpolation:
     """The sparse interpolation matrix J at given marker positions.  Collective.
 
     Rows 2k and 2k + 1 are the velocity components of marker k; all rows belong to rank 0, the
-    columns follow the grid's layout.  Spreading is (ds / (dx dy)) times the transpose, hence
-    exactly adjoint in the discrete inner products.
+    columns follow the grid's layout.  Spreading is 1 / (dx dy) times the transpose, hence exactly
+    adjoint in the discrete inner products.
 
     Parameters
     ----------
@@ -96,41 +96,53 @@ class Interpolation:
     kernel : Kernel
     markers : ndarray, shape (M, 2)
         Positions on rank 0; shape (0, 2) on the other ranks.
-    ds : float
-        Parameter step of the markers.
+
+    Attributes
+    ----------
+    stencil : Stencil
     """
 
-    def __init__(self, grid, kernel, markers, ds):
+    def __init__(self, grid, kernel, markers):
         self.grid = grid
         self.stencil = Stencil(grid, kernel, markers)
-        self.spreading_scale = ds / grid.cell_area
-        faces = grid.velocity_dm.createGlobalVec().getSizes()
-        self.matrix = PETSc.Mat().createAIJ(
-            ((2 * len(markers), PETSc.DETERMINE), faces),
-            csr=self.stencil.csr(grid.u_index, grid.v_index),
-            comm=grid.comm,
-        )
-        self._values = self.matrix.createVecLeft()
+        self._count = len(markers)
+        self._matrix = self._values = None
+
+    @property
+    def matrix(self):
+        """J as a parallel PETSc matrix, assembled when first asked for.  Collective."""
+        if self._matrix is None:
+            faces = self.grid.velocity_dm.createGlobalVec().getSizes()
+            self._matrix = PETSc.Mat().createAIJ(
+                ((2 * self._count, PETSc.DETERMINE), faces),
+                csr=self.stencil.csr(self.grid.u_index, self.grid.v_index),
+                comm=self.grid.comm,
+            )
+            self._values = self._matrix.createVecLeft()
+        return self._matrix
 
     def interpolate(self, velocity):
         """Velocity U at the markers: (M, 2) on rank 0, (0, 2) elsewhere."""
         self.matrix.mult(velocity, self._values)
         return self._values.getArray(readonly=True).reshape(-1, 2).copy()
 
-    def spread_add(self, force, vector, scale=1.0):
-        """Add `scale` times the spread force density to `vector`.
+    def spread_add(self, force, vector):
+        """Add the spread force to `vector`.
 
         Parameters
         ----------
         force : ndarray, shape (M, 2)
-            Force per unit parameter at the markers, on rank 0; (0, 2) elsewhere.
+            Force on each marker, on rank 0; (0, 2) elsewhere.
         vector : PETSc.Vec
             Over all faces; force per unit area is added.
         """
-        self._values.getArray()[:] = (scale * self.spreading_scale) * force.ravel()
-        self.matrix.multTransposeAdd(self._values, vector, vector)
+        matrix = self.matrix
+        self._values.getArray()[:] = force.ravel() / self.grid.cell_area
+        matrix.multTransposeAdd(self._values, vector, vector)
 
     def destroy(self):
         """Free the matrix.  Collective; left to Python it would outlive the step."""
-        self.matrix.destroy()
-        self._values.destroy()
+        if self._matrix is not None:
+            self._matrix.destroy()
+            self._values.destroy()
+            self._matrix = None

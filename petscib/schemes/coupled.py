@@ -1,7 +1,6 @@
 """The original schemes: velocity, pressure and stretching of the new time solved together."""
 
 from ..events import phase
-from ..solvers.saddle import CoupledSolver
 from .stage import StageScheme
 
 
@@ -15,28 +14,26 @@ class Coupled(StageScheme):
     problem : Problem
     theta : float
         1 for backward Euler, 1/2 for Crank-Nicolson.
+    solvers : Solvers
     """
 
-    def __init__(self, problem, theta):
-        super().__init__(
-            problem, theta, CoupledSolver(problem.operators, problem.rho, problem.mu)
-        )
+    def __init__(self, problem, theta, solvers):
+        super().__init__(problem, theta, solvers.stokes())
 
     def step(self, state, dt):
         """Take one step from `state`.  Collective.  Returns a Step."""
-        interpolation = self.problem.interpolation(state.markers)
-        tangent = self.tangent(state)
+        problem = self.problem
+        operators, stress = problem.operators_at(state.markers), problem.stress(state)
+        stage = self.begin(state, dt)
 
-        # rho (w - u^n) / (theta dt) + grad p = mu Laplacian w + F[force^n - theta dt W J w]
-        # div w = 0
-        self.set_equations(state, dt, interpolation, tangent)
-        stage, pressure = self.problem.first_guess(state), state.pressure.copy()
+        # rho (w - u^n) / (theta dt) + grad p = mu Laplacian w + F[f],  div w = 0,
+        # f = - C^T m,  m = m0 + theta dt C U,  U = J w + K f
         with phase("coupled solve"):
-            iterations = {"coupled": self.solver.solve(self._rhs, stage, pressure)}
+            iterations = self.system.solve(self._rhs, stage, self.theta * dt, operators, stress)
 
-        # u^{n+1} = u^n + (w - u^n) / theta,  X^{n+1} = X^n + dt J w
-        velocity = self.end_velocity(state, stage)
+        # u^{n+1} = u^n + (w - u^n) / theta,  X^{n+1} = X^n + dt U
+        velocity, motion = self.end_velocity(state, stage), self.system.marker_velocity()
         return self.finish(
-            state, dt, stage, velocity, pressure, interpolation, tangent, stage,
-            iterations=iterations,
+            state, dt, stage, operators, velocity, motion,
+            **problem.account(operators, stage, motion), iterations={"coupled": iterations},
         )

@@ -10,6 +10,7 @@ class Explicit(ProjectionScheme):
     Parameters
     ----------
     problem : Problem
+    solvers : Solvers
     """
 
     advice = (
@@ -17,35 +18,27 @@ class Explicit(ProjectionScheme):
         "-ts_dt or an implicit scheme such as -scheme mbe"
     )
 
-    implicit = False
-
-    def __init__(self, problem):
-        super().__init__(problem, 1.0)
-
-    def set_equations(self, state, dt, interpolation, tangent):
-        """rho (u* - u^n) / dt = mu Laplacian u* + F[force^n].  Collective."""
-        self.solver.update(dt)
-        self.problem.fluid_rhs(state.velocity, dt, self._rhs)
-        if self.problem.acted_on:
-            self.problem.add_force(state, tangent, interpolation, self._rhs)
+    def __init__(self, problem, solvers):
+        super().__init__(problem, 1.0, solvers, acts=False)
 
     def step(self, state, dt):
         """Take one step from `state`.  Collective.  Returns a Step."""
-        interpolation = self.problem.interpolation(state.markers)
-        tangent = self.tangent(state)
+        problem = self.problem
+        operators = problem.operators_at(state.markers)
+        stage = self.begin(state, dt)
 
-        self.set_equations(state, dt, interpolation, tangent)
-        intermediate = self.problem.first_guess(state)
+        # rho (u* - u^n) / dt = mu Laplacian u* + F[f^n]
+        if problem.acted_on:
+            with phase("forces"):
+                operators.spread_add(operators.force(problem.stress(state)), self._rhs)
         with phase("momentum solve"):
-            iterations = {"momentum": self.solver.solve(self._rhs, intermediate)}
+            iterations = {"momentum": self.system.solve(self._rhs, stage, dt)}
 
-        velocity = intermediate.copy()
-        pressure, phi, iterations["poisson"] = self.projection.apply(
-            velocity, dt, self.theta, state.pressure
-        )
+        velocity = stage.velocity.copy()
+        phi, iterations["poisson"] = self.projection.apply(
+            velocity, dt, self.theta, stage.pressure)
 
         # X^{n+1} = X^n + dt J u^{n+1}
+        motion = operators.interpolate(velocity) if operators is not None else None
         return self.finish(
-            state, dt, intermediate, velocity, pressure, interpolation, tangent, velocity,
-            projection=phi, iterations=iterations,
-        )
+            state, dt, stage, operators, velocity, motion, projection=phi, iterations=iterations)

@@ -4,9 +4,7 @@ import numpy as np
 
 from ..errors import SolveError
 from ..events import phase
-from ..membrane import geometry
 from ..solvers.anderson import Anderson
-from ..solvers.saddle import CoupledSolver
 from .stage import StageScheme
 
 # Tolerance of a pass, relative to the change of the positions in the pass before ...
@@ -22,39 +20,40 @@ class Geometric(StageScheme):
 
     With tau = (D_s X^{n+1} + D_s X^n) / (|D_s X^{n+1}| + |D_s X^n|) the identity
     |D_s X^{n+1}| - |D_s X^n| = dt D_s U . tau holds, so that evolved and geometric stretching
-    agree and the energy law is that of the true geometry.  Crank-Nicolson also interpolates and
-    spreads at the mean position, which makes it second order in time.
+    agree and the energy law is that of the true geometry.  The area projector stands at the mean
+    position, so that the area stays too.  Crank-Nicolson also interpolates and spreads there,
+    which makes it second order in time.
 
-    The tangent depends on the new positions: Picard iteration with Anderson acceleration,
-    starting from the positions that the velocities of the last two steps let expect.
+    All this depends on the new positions: Picard iteration with Anderson acceleration, starting
+    from the positions that the velocities of the last two steps let expect.
 
     Parameters
     ----------
     problem : Problem
-        With a membrane.
+        With membranes.
     theta : float
         1 for backward Euler, 1/2 for Crank-Nicolson.
+    solvers : Solvers
     controls : Controls
         picard_rtol: largest change of the positions in the last pass, relative to the largest
         displacement of the step; picard_max_it.
     """
 
-    def __init__(self, problem, theta, controls):
-        super().__init__(
-            problem, theta, CoupledSolver(problem.operators, problem.rho, problem.mu)
-        )
+    def __init__(self, problem, theta, solvers, controls):
+        super().__init__(problem, theta, solvers.stokes())
         self.controls = controls
 
     def step(self, state, dt):
         """Take one step from `state`.  Collective.  Returns a Step."""
-        problem, membrane, theta = self.problem, self.problem.membrane, self.theta
-        stage, pressure = problem.first_guess(state), state.pressure.copy()
+        problem, system = self.problem, self.system
+        stress, stage = problem.stress(state), self.begin(state, dt)
         guess = state.markers + dt * self._extrapolated(state.history)
         acceleration = Anderson(ANDERSON_DEPTH)
-        interpolation = problem.interpolation(state.markers) if theta == 1 else None
+        interpolation = problem.interpolation(state.markers) if self.theta == 1 else None
         change, passes, iterations = 1.0, 0, 0
-        least = min(LAST_FRACTION * self.controls.picard_rtol, self.solver.rtol)
+        least = min(LAST_FRACTION * self.controls.picard_rtol, system.rtol)
 
+        system.begin(self._rhs, stage)
         while change > self.controls.picard_rtol:
             if passes == self.controls.picard_max_it:
                 raise SolveError(
@@ -62,39 +61,37 @@ class Geometric(StageScheme):
                     f"still change by {change:.1e} of their displacement)"
                 )
             with phase("tangent iteration"):
-                if theta < 1:
+                # C between X^n and X^{n+1}, Pi and K at their mean; so is J with theta = 1/2
+                if self.theta < 1:
                     interpolation = self._move(interpolation, (state.markers + guess) / 2)
-                tangent = None
-                if membrane.sigma0:
-                    tangent = averaged_tangent(state.markers, guess, membrane.ds)
-                # rho (w - u^n) / (theta dt) + grad p
-                #     = mu Laplacian w + F[force^n - theta dt W J w],  div w = 0
-                self.set_equations(state, dt, interpolation, tangent)
+                operators = problem.operators_between(state.markers, guess, interpolation)
+                # rho (w - u^n) / (theta dt) + grad p = mu Laplacian w + F[f],  div w = 0,
+                # f = - C^T m,  m = m0 + theta dt C U,  U = J w + K f
                 with phase("coupled solve"):
-                    if not passes:  # only now the solver knows of the membrane
-                        self.solver.begin(stage, pressure)
+                    system.update(self.theta * dt, operators, stress)
                     rtol = max(INNER_FRACTION * change, least)
-                    iterations += self.solver.iterate(self._rhs, stage, rtol)
+                    iterations += system.iterate(rtol)
 
-                # X^{n+1} = X^n + dt J w
-                marker_velocity = interpolation.interpolate(stage)
-                markers = state.markers + dt * marker_velocity
+                # X^{n+1} = X^n + dt U
+                motion = system.marker_velocity()
+                markers = state.markers + dt * motion
                 change = self._relative_change(guess, markers, state.markers)
                 guess = acceleration.next(guess, markers)
             passes += 1
 
         with phase("coupled solve"):
-            self.solver.finish(stage, pressure)
+            system.finish()
         # u^{n+1} = u^n + (w - u^n) / theta
         velocity = self.end_velocity(state, stage)
         step = self.finish(
-            state, dt, stage, velocity, pressure, interpolation, tangent, stage,
+            state, dt, stage, operators, velocity, motion,
+            **problem.account(operators, stage, motion),
             iterations={"coupled": iterations, "picard": passes},
         )
         history, before = step.end.history, state.history.get("marker_velocity")
-        history["marker_velocity"] = step.marker_velocity
+        history["marker_velocity"] = motion
         if before is not None:
-            history["marker_velocity_change"] = step.marker_velocity - before
+            history["marker_velocity_change"] = motion - before
         return step
 
     @staticmethod
@@ -112,14 +109,8 @@ class Geometric(StageScheme):
         """Largest change of a marker, relative to the largest displacement.  Collective."""
         change = None
         if len(after):
-            moved = geometry.length(after - start).max()
+            moved = np.hypot(*(after - start).T).max()
             # Markers at rest have converged when they stay within round-off of the grid.
             floor = np.finfo(float).eps * min(self.problem.grid.dx, self.problem.grid.dy)
-            change = geometry.length(after - before).max() / max(moved, floor)
+            change = np.hypot(*(after - before).T).max() / max(moved, floor)
         return self.problem.grid.comm.tompi4py().bcast(change)
-
-
-def averaged_tangent(start, end, ds):
-    """Mean of the edges of two curves over the mean of their lengths, at the half points."""
-    before, after = geometry.to_half_points(start, ds), geometry.to_half_points(end, ds)
-    return (after + before) / (geometry.length(after) + geometry.length(before))[:, None]

@@ -14,31 +14,39 @@ class Modified(ProjectionScheme):
     problem : Problem
     theta : float
         1 for backward Euler, 1/2 for Crank-Nicolson.
+    solvers : Solvers
     """
 
     def step(self, state, dt):
         """Take one step from `state`.  Collective.  Returns a Step."""
-        interpolation = self.problem.interpolation(state.markers)
-        tangent = self.tangent(state)
+        problem = self.problem
+        operators, stress = problem.operators_at(state.markers), problem.stress(state)
+        stage = self.begin(state, dt)
 
-        # rho (w - u^n) / (theta dt) = mu Laplacian w + F[force^n - theta dt W J w]
-        self.set_equations(state, dt, interpolation, tangent)
-        stage = self.problem.first_guess(state)
+        # rho (w - u^n) / (theta dt) = mu Laplacian w + F[f],
+        # f = - C^T m,  m = m0 + theta dt C U,  U = J w + K f
         with phase("momentum solve"):
-            iterations = {"momentum": self.solver.solve(self._rhs, stage)}
+            iterations = {
+                "momentum": self.system.solve(
+                    self._rhs, stage, self.theta * dt, operators, stress)
+            }
 
         # u* = u^n + (w - u^n) / theta, made divergence-free
         velocity = self.end_velocity(state, stage)
-        pressure, phi, iterations["poisson"] = self.projection.apply(
-            velocity, dt, self.theta, state.pressure
-        )
+        phi, iterations["poisson"] = self.projection.apply(
+            velocity, dt, self.theta, stage.pressure)
 
-        # X^{n+1} = X^n + dt J (theta u^{n+1} + (1 - theta) u^n)
-        carrier = velocity
-        if self.theta < 1:
-            carrier = velocity.copy()
-            carrier.axpby(1 - self.theta, self.theta, state.velocity)
+        # X^{n+1} = X^n + dt (J (theta u^{n+1} + (1 - theta) u^n) + K f)
+        account, motion = {}, None
+        if problem.membranes is not None:
+            account = problem.account(operators, stage, self.system.marker_velocity())
+            carrier = velocity
+            if self.theta < 1:
+                carrier = velocity.copy()
+                carrier.axpby(1 - self.theta, self.theta, state.velocity)
+            motion = operators.interpolate(carrier)
+            motion = motion + operators.slip_velocity(operators.force(stage.stress))
         return self.finish(
-            state, dt, stage, velocity, pressure, interpolation, tangent, carrier,
+            state, dt, stage, operators, velocity, motion, **account,
             projection=phi, iterations=iterations,
         )

@@ -1,8 +1,6 @@
 """The projection of an intermediate velocity onto divergence-free fields."""
 
 from ..events import phase
-from ..solvers.momentum import MomentumSolver
-from ..solvers.poisson import PoissonSolver
 from .stage import StageScheme
 
 
@@ -12,15 +10,17 @@ class Projection:
     Parameters
     ----------
     problem : Problem
+    poisson : PoissonSolver
+        Owned by the projection.
     """
 
-    def __init__(self, problem):
+    def __init__(self, problem, poisson):
         self.problem = problem
-        self.poisson = PoissonSolver(problem.operators)
+        self.poisson = poisson
         self._divergence = problem.grid.pressure_vector()
         self._gradient = problem.grid.velocity_vector()
 
-    def apply(self, velocity, dt, theta, last_pressure):
+    def apply(self, velocity, dt, theta, pressure):
         """Turn u* into u in place.  Collective.
 
         Parameters
@@ -30,34 +30,35 @@ class Projection:
         dt : float
         theta : float
             1 for backward Euler, 1/2 for Crank-Nicolson: where the pressure stands.
-        last_pressure : PETSc.Vec
-            For the first guess.
+        pressure : PETSc.Vec
+            The last one on entry, for the first guess; the new one on return.
 
         Returns
         -------
-        pressure, phi : PETSc.Vec
-            New vectors.
+        phi : PETSc.Vec
+            A new vector.
         iterations : int
         """
         operators, rho, mu = self.problem.operators, self.problem.rho, self.problem.mu
         divergence, gradient = self._divergence, self._gradient
         operators.divergence.mult(velocity, divergence)
         divergence.scale(1 / dt)
-        phi = last_pressure.copy()
+        phi = pressure.copy()
         phi.scale(1 / rho)
         with phase("Poisson solve"):
             iterations = self.poisson.solve(divergence, phi)
 
         operators.gradient.mult(phi, gradient)
         velocity.axpy(-dt, gradient)
-        pressure = phi.copy()
+        phi.copy(pressure)
         pressure.scale(rho)
         pressure.axpy(-theta * mu * dt, divergence)
-        return pressure, phi, iterations
+        return phi, iterations
 
     def destroy(self):
-        """Free the solver."""
-        self.poisson.destroy()
+        """Free the solver.  Collective."""
+        for part in (self.poisson, self._divergence, self._gradient):
+            part.destroy()
 
 
 class ProjectionScheme(StageScheme):
@@ -67,12 +68,14 @@ class ProjectionScheme(StageScheme):
     ----------
     problem : Problem
     theta : float
+    solvers : Solvers
+    acts : bool
+        Whether the membranes' forces are in the stage equations.
     """
 
-    def __init__(self, problem, theta):
-        solver = MomentumSolver(problem.operators, problem.rho, problem.mu)
-        super().__init__(problem, theta, solver)
-        self.projection = Projection(problem)
+    def __init__(self, problem, theta, solvers, acts=True):
+        super().__init__(problem, theta, solvers.momentum(), acts)
+        self.projection = Projection(problem, solvers.poisson())
 
     def destroy(self):
         """Free the solvers."""

@@ -1,8 +1,7 @@
 """A damped start: backward Euler half steps before a scheme that does not damp."""
 
 from copy import copy
-
-from ..problem import Step
+from dataclasses import replace
 
 
 class Startup:
@@ -36,18 +35,7 @@ class Startup:
         iterations = {
             name: count + second.iterations[name] for name, count in first.iterations.items()
         }
-        return Step(
-            dt,
-            second.theta,
-            state,
-            second.end,
-            second.stage,
-            second.projection,
-            second.stretch_rate,
-            second.marker_velocity,
-            iterations,
-            parts=(first, second),
-        )
+        return replace(second, dt=dt, start=state, iterations=iterations, parts=(first, second))
 
     def destroy(self):
         """Free the solvers."""

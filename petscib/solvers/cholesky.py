@@ -1,20 +1,14 @@
-"""Sparse symmetric factorisation of a sequential matrix."""
+"""Sparse symmetric factorisation of a matrix in marker space, on one rank."""
 
 import numpy as np
 from petsc4py import PETSc
+from scipy.sparse import triu
 
 from . import krylov
+from .direct import direct_defaults
 
 # Stiff membranes make indefinite matrices, for which CHOLMOD has only its LDL^T.
 CHOLMOD_DEFAULTS = {"mat_cholmod_factor": "simplicial"}
-
-
-def direct_solver():
-    """Name of the best sparse Cholesky package that this PETSc has."""
-    for package, solver in (("suitesparse", "cholmod"), ("mumps", "mumps")):
-        if PETSc.Sys.hasExternalPackage(package):
-            return solver
-    return "petsc"
 
 
 class Cholesky:
@@ -26,47 +20,75 @@ class Cholesky:
     ----------
     prefix : str
         Options prefix.
+
+    Attributes
+    ----------
+    trouble : str
+        Why the last solve failed, or empty.
     """
 
     def __init__(self, prefix):
         self.prefix = prefix
-        self.ksp = None
+        self.trouble = ""
+        self.ksp = self._matrix = None
         krylov.set_defaults(
             prefix,
-            {
-                "ksp_type": "preonly",
-                "pc_type": "cholesky",
-                "pc_factor_mat_solver_type": direct_solver(),
-                **CHOLMOD_DEFAULTS,
-            },
+            {"ksp_type": "preonly", **direct_defaults("cholesky", PETSc.COMM_SELF),
+             **CHOLMOD_DEFAULTS},
         )
 
     def factor(self, matrix):
-        """Factor; the matrix last given, changed in value, keeps its symbolic factorisation."""
-        if not matrix.getSize()[0]:
+        """Factor; a matrix with the entries of the last one keeps its symbolic factorisation.
+
+        Parameters
+        ----------
+        matrix : scipy.sparse.csr_matrix
+            Its upper triangle, with sorted columns.
+        """
+        if not matrix.shape[0]:
             return
         if self.ksp is None:
             self.ksp = PETSc.KSP().create(comm=PETSc.COMM_SELF)
             self.ksp.setOptionsPrefix(self.prefix)
             self.ksp.setFromOptions()
-        elif matrix.getSize()[0] != self._rhs.getSize():
-            self.ksp.reset()
-        if self.ksp.getPC().getFactorSolverType() == "petsc" and matrix.getType() != "seqaij":
-            matrix = matrix.convert("seqaij", PETSc.Mat())  # for which PETSc has orderings
-        self.ksp.setOperators(matrix)
-        self.ksp.setUp()
-        self._solution, self._rhs = matrix.createVecs()
+        if self.ksp.getPC().getFactorSolverType() == "petsc":  # which orders only whole matrices
+            matrix = (matrix + triu(matrix, 1).T).tocsr()
+            matrix.sort_indices()
+        csr = matrix.indptr, matrix.indices, matrix.data
+        if self._matrix is None or self._entries != (matrix.shape, matrix.nnz):
+            self._release()
+            create = PETSc.Mat().createSBAIJ
+            if self.ksp.getPC().getFactorSolverType() == "petsc":
+                create = PETSc.Mat().createAIJ
+            self._matrix = create(matrix.shape, 1, csr=csr, comm=PETSc.COMM_SELF)
+            self._entries = matrix.shape, matrix.nnz
+            self._solution, self._rhs = self._matrix.createVecs()
+        else:
+            self._matrix.setValuesCSR(*csr)
+            self._matrix.assemble()
+        self.ksp.setOperators(self._matrix)
 
     def solve(self, rhs):
-        """Answer as a new array."""
+        """Answer as a new array; not a number where the factorisation failed."""
         if not len(rhs):
             return np.empty(0)
         self._rhs.getArray()[:] = rhs
         self.ksp.solve(self._rhs, self._solution)
+        self.trouble = krylov.reason_name(self.ksp) if self.ksp.getConvergedReason() < 0 else ""
+        if self.trouble:
+            return np.full(len(rhs), np.nan)
         return self._solution.getArray(readonly=True).copy()
+
+    def _release(self):
+        if self._matrix is not None:
+            self.ksp.reset()
+            for part in (self._matrix, self._solution, self._rhs):
+                part.destroy()
+            self._matrix = None
 
     def destroy(self):
         """Free the factor."""
+        self._release()
         if self.ksp is not None:
             self.ksp.destroy()
             self.ksp = None

@@ -1,309 +1,210 @@
-"""An implicit system solved for the membrane's force, given exact solves of the fluid alone.
+"""The implicit system solved for the membranes' stresses, given exact solves of the fluid alone.
 
-With B as in `block`, the momentum system A u = b, A = A0 + B^T B, is
+With H the fluid's answer to forces, restricted to the markers, H = J A^{-1} J^T / (dx dy), the
+stresses solve
 
-    A0 u + B^T f = b,    f = B u,
+    (1 / (theta dt) + C (H' + K) C^T) m = m0 / (theta dt) + C Pi J A^{-1} b,    H' = Pi H Pi,
 
-so that
-
-    (1 + B H B^T) f = B H b,    u = H (b - B^T f),    H = A0^{-1}.
-
-For the coupled system H takes forces to velocities without divergence; the pressure follows from
-them.  The matrix is symmetric positive definite, has a few rows a marker, and does not grow with
-the stiffness.  Its products need H near the membrane only (a *window*).  The preconditioner is the
-same matrix with the tube in place of the box, which the tube's factorisation gives; on several
-ranks, an arc of it each (see `arcs`).  On one rank, the two have together the same eigenvalues
-other than one as the condensed operator (see `condensation`) preconditioned by the fluid's inverse,
-hence the same iterations, but the whole grid is solved only twice.
-
-Convergence is measured by velocities: an error of the markers' velocities U leaves a residual of
-about B H J^T g, with the forces g = U |U|^2 / (U . J H J^T U) that would cause it.  The right-hand
-side would be no measure, as it may be a balance of large forces.
+symmetric positive definite, with a few rows a marker.  Conjugate gradients, preconditioned by the
+model of H in marker space (see `model`), need products with H near the membranes only, which a
+*window* of the grid gives; the whole grid is solved twice a step.
 """
 
 import numpy as np
 from petsc4py import PETSc
+from scipy.sparse import csr_matrix
 
+from ..events import phase
 from . import krylov
-from .arcs import TubeArcs
-from .block import TubeBlock
-from .condensation import TubeAccess
-from .tube import Tube
+from .model import MarkerModel
 
-# When the markers turn out to be this much slower than guessed, the solve goes on; though not below
-# the tolerance for the second, as at rest there is nothing to measure by.
-MUCH_SLOWER, LEAST_SLOWER = 0.1, 1e-3
+MARGIN = 1  # cells around the faces that the markers see, for them to move in
+
+# Less accurate solves would be little cheaper, and show in the energy law; and many iterations are
+# cheap too, where a membrane that nearly touches itself needs them.
+DEFAULTS = {"ksp_type": "cg", "ksp_rtol": 1e-7, "ksp_max_it": 1000, "pc_type": "python"}
 
 
-class ForceSolver:
-    """Krylov iteration, by default conjugate gradients, for the membrane's force.  Collective.
-
-    Solves with the membrane in almost the same place belong together::
-
-        solver.update(interpolation, force)
-        solver.begin()
-        solver.iterate(rhs, velocity)
-        for ...:
-            solver.update(interpolation, force)
-            solver.iterate(rhs, velocity)
-        solver.finish(rhs, velocity)
-
-    Between them the right-hand side may change within the tube.
+class Near:
+    """The faces near the markers, and the fluid's answer to forces there.  Collective.
 
     Parameters
     ----------
-    grid : Grid
-    fluid : FluidMatrix
-    response
-        H: its method `respond(force, velocity)` on the whole grid, and `window(faces)`, as those of
-        `FluidTransform`.
-    prefix : str
-        Options prefix of the iteration; the tube's direct solvers have <prefix>tube_.
-    defaults : dict
-        Solver options unless given.
-    what : str
-        Which solve it is, for messages.
-    layers : int
-        Layers of faces in the tube beyond those that the markers see.
-    solenoidal : bool
-        Whether the velocities are without divergence.
+    fluid : Momentum or Stokes
+    stencil : Stencil
+        Of the markers, on rank 0; of no markers elsewhere.
     """
 
-    def __init__(self, grid, fluid, response, prefix, defaults, what, layers, solenoidal):
-        self.grid, self.fluid, self.response = grid, fluid, response
-        self.prefix, self.defaults, self.what = prefix, defaults, what
-        self.layers = layers
-        self._rhs = grid.velocity_vector()
-        self.arcs = TubeArcs(grid, fluid, self._rhs, prefix + "tube_", layers, solenoidal)
-        self.ksp = self.window = self.block = self._tube = self._root = None
-        self._interpolation = self._interval = None
-        # On rank 0: the force f, the load b - B^T f on the tube's faces, and the velocities near
-        # the membrane that belong to it.
-        self.force = self._load = self._near = None
+    def __init__(self, fluid, stencil):
+        grid = fluid.grid
+        self._tables, faces, numbers, first = [], [], [], 0
+        for (rows, columns, _), index in zip((stencil.u, stencil.v), (grid.u_index, grid.v_index)):
+            around = np.arange(-MARGIN, MARGIN + 1)
+            tall = (rows[:, :, 0, None] + around).reshape(len(rows), -1, 1)
+            wide = (columns[:, 0, :, None] + around).reshape(len(columns), 1, -1)
+            table = np.full(index.shape, -1, dtype=np.int32)
+            if len(rows):
+                inside = np.clip(tall, 0, index.shape[0] - 1), np.clip(wide, 0, index.shape[1] - 1)
+                table[inside] = 0
+            found = np.nonzero(table == 0)
+            table[found] = np.arange(first, first + len(found[0]))
+            first += len(found[0])
+            self._tables.append(table)
+            faces.append(found)
+            numbers.append(index[found])
+        self.count = first
+        self.window = fluid.window(faces)
+        self.vector = self.window.vector
+        source = PETSc.IS().createGeneral(np.concatenate(numbers), comm=PETSc.COMM_SELF)
+        start = self.vector.getOwnershipRange()[0]
+        target = PETSc.IS().createStride(self.count, start, 1, comm=PETSc.COMM_SELF)
+        whole = grid.velocity_vector()
+        self._scatter = PETSc.Scatter().create(whole, source, self.vector, target)
+        whole.destroy()
 
-    def update(self, interpolation, force):
-        """Set the system for the membrane's present configuration.
+    def interpolation(self, stencil):
+        """J on these faces as a scipy matrix, or None where a marker sees others."""
+        starts, columns, values = stencil.csr(*self._tables)
+        if len(columns) and columns.min() < 0:
+            return None
+        return csr_matrix((values, columns, starts), (2 * len(stencil.u[2]), self.count))
 
-        Parameters
-        ----------
-        interpolation : Interpolation
-            With that of the last call, only the stiffness is taken anew.
-        force : ImplicitForce
-        """
-        changed, fresh = self.fluid.interval != self._interval, self._near is None
-        if changed or interpolation is not self._interpolation:
-            self._place(interpolation.stencil, force.ratio(self.fluid), changed)
-            self._interpolation, self._interval = interpolation, self.fluid.interval
-        root = force.root()
-        self.block.set(root)
-        if self.ksp is None:
-            self._create(root.getSize()[0])
-        self.arcs.set_root(root, self._residual)
-        self.arcs.factor()
-        if self._root is not None:
-            self._root.destroy()
-        self._root = root
-        self._guess = force.first_guess() if fresh or changed else self.force
+    def gather(self, velocity):
+        """Values of a velocity vector on these faces: an array on rank 0.  Collective."""
+        self._scatter.scatter(velocity, self.vector)
+        return self.vector.getArray(readonly=True).copy()
 
-    def _place(self, stencil, ratio, changed):
-        """Take new positions of the markers: as a rule, they are still in the same tube."""
-        tube = Tube(self.grid, stencil, self.layers)
-        same = not changed and self._tube is not None and tube.has_faces_of(self._tube)
-        if self.grid.comm.tompi4py().bcast(same):
-            if self.block.size:
-                self.block.move(tube)
-        else:
-            self._release()
-            self.block = TubeBlock(tube)
-            self.access = TubeAccess(self._rhs, tube.faces)
-            self.window = self.response.window(tube.face_positions())
-            self.begin()
-        self.arcs.place(tube, self.block, ratio, changed)
-        self._tube = tube
-
-    def _create(self, count):
-        self._residual = PETSc.Vec().createMPI((count, PETSc.DETERMINE), comm=self.grid.comm)
-        self._change = self._residual.duplicate()
-        self._operator = krylov.Operator(self._residual)
-        self._operator.act_as(self)
-        self.ksp = krylov.create(self._operator.matrix, self.prefix, self.defaults)
-        self.ksp.setInitialGuessNonzero(False)
-        self.ksp.getPC().setType("python")
-        self.ksp.getPC().setPythonContext(_TubePC(self))
-
-    def mult(self, x, y):
-        """y = (1 + B H B^T) x.  Keeps x and H B^T x near the membrane."""
-        force = x.getArray(readonly=True)
-        velocity = self._respond_near(self.block.spread(force))
-        y.getArray()[:] = force + self.block.forces_of(velocity)
-        self._products.append((force.copy(), velocity))
-
-    def _respond_near(self, force):
-        """The velocities on the tube's faces caused by forces there: arrays on rank 0."""
-        self.window.vector.getArray()[:] = force
+    def respond(self, force):
+        """Velocities on these faces caused by forces there, arrays on rank 0.  Collective."""
+        self.vector.getArray()[:] = force
         self.window.solve()
-        return self.window.vector.getArray(readonly=True).copy()
+        return self.vector.getArray(readonly=True)
 
-    def begin(self):
-        """Forget the last solution: the next solve starts from a first guess."""
-        self._near = None
-
-    def solve(self, rhs, velocity):
-        """Solve for `velocity` (first guess on entry).  Returns the iterations."""
-        self.begin()
-        iterations = self.iterate(rhs, velocity)
-        self.finish(rhs, velocity)
-        return iterations
-
-    def iterate(self, rhs, velocity, rtol=None, slope=None):
-        """Solve so far that `velocity` holds in the tube.  Returns the iterations.
-
-        Parameters
-        ----------
-        rhs, velocity : PETSc.Vec
-            The first time after `begin`, `velocity` is the first guess.
-        rtol : float, optional
-            In place of the solver's relative tolerance.
-        slope : PETSc.Vec, optional
-            Part of the right-hand side that, at the first guess, a pressure balances.
-        """
-        block, force = self.block, self.access.from_tube(rhs)
-        if self._near is None:
-            self._start(rhs, force, velocity, slope)
-        else:
-            load = force - block.spread(self.force)
-            self._near += self._respond_near(load - self._load)
-            self._load = load
-        tolerance = self.ksp.getTolerances()[0] if rtol is None else rtol
-        iterations = self._improve(tolerance)
-        slower = self._speed_of(self._near) / self._speed if self._speed else 1.0
-        if slower < MUCH_SLOWER:  # than guessed: so was the tolerance, then
-            self._speed *= max(slower, LEAST_SLOWER)
-            self._norm *= max(slower, LEAST_SLOWER)
-            iterations += self._improve(tolerance)
-        self.access.set_tube(self._near, velocity)
-        return iterations
-
-    def _improve(self, tolerance):
-        """Iterate until the residual is small enough.  Returns the iterations."""
-        block = self.block
-        self._residual.getArray()[:] = block.forces_of(self._near) - self.force
-        self._products = []
-        least = max(self.ksp.getTolerances()[1], tolerance * self._norm)
-        with krylov.tolerances(self.ksp, 0.0, least):
-            iterations = krylov.solve(
-                self.ksp, self._residual, self._change, self.what, krylov.advice(self.ksp)
-            )
-        change = self._change.getArray(readonly=True)
-        self.force = self.force + change
-        self._load -= block.spread(change)
-        self._near -= self._caused(change)
-        return iterations
-
-    def _start(self, rhs, force, velocity, slope):
-        """Take the force that belongs to the first guess, and the velocities that belong to it."""
-        guess = self.access.from_tube(velocity)
-        self.force = self._guess
-        self._subtract_force(rhs)
-        self._change.getArray()[:] = self.force
-        self.arcs.add_forces(self._rhs, velocity, slope, self._change)
-        self.force = self._change.getArray(readonly=True).copy()
-        self._load = force - self.block.spread(self.force)
-        self._respond(rhs, velocity)
-        self._near = self.access.from_tube(velocity)
-        self._speed = self._speed_of(guess)
-        if not self._speed:
-            guess = self._near
-            self._speed = self._speed_of(guess)
-        self._norm = self._norm_of(guess)
-
-    def _subtract_force(self, rhs):
-        """Prepare rhs - B^T f."""
-        rhs.copy(self._rhs)
-        self.spread_add(self._rhs, -1.0)
-
-    def _respond(self, rhs, velocity):
-        """Set `velocity` to H (rhs - B^T f)."""
-        self._subtract_force(rhs)
-        self.response.respond(self._rhs, velocity)
-
-    def _speed_of(self, velocity):
-        """Size of the markers' velocities, on every rank, for an array over the tube's faces."""
-        speed = np.linalg.norm(self.block.interpolate(velocity))
-        return self.grid.comm.tompi4py().bcast(speed)
-
-    def _norm_of(self, velocity):
-        """Norm of the residual that an error as large as these velocities in the tube leaves."""
-        block = self.block
-        at_markers = block.interpolate(velocity)
-        caused = self._respond_near(block.spread_markers(at_markers))
-        square, response = at_markers @ at_markers, at_markers @ block.interpolate(caused)
-        factor = square / response if response else 0.0
-        self._residual.getArray()[:] = factor * block.forces_of(caused)
-        return self._measure(self._residual)
-
-    def _measure(self, residual):
-        """Norm of a residual as the iteration measures it."""
-        kind, kinds = self.ksp.getNormType(), PETSc.KSP.NormType
-        if kind == kinds.UNPRECONDITIONED:
-            return residual.norm()
-        self.ksp.getPC().apply(residual, self._change)
-        if kind == kinds.NATURAL:
-            return np.sqrt(abs(residual.dot(self._change)))
-        return self._change.norm()
-
-    def _caused(self, force):
-        """H B^T times the array, a combination of those that products were made with."""
-        if not self._products or not self.block.size:
-            return 0.0
-        forces, velocities = (np.stack(part, axis=1) for part in zip(*self._products))
-        sizes = np.linalg.norm(forces, axis=0)
-        weights = np.linalg.lstsq(forces / sizes, force, rcond=None)[0]
-        return velocities @ (weights / sizes)
-
-    def finish(self, rhs, velocity):
-        """Make `velocity` hold everywhere."""
-        self._respond(rhs, velocity)
-        # The energy law asks for f = B u where f is large, more than for the momentum.
-        near = self.access.from_tube(velocity)
-        self._residual.getArray()[:] = self.force - self.block.forces_of(near)
-        self.arcs.correct(self._residual, velocity)
-        self.force = self.force + self._residual.getArray(readonly=True)
-        self.arcs.age()
-        self.begin()
-
-    def spread_add(self, vector, scale):
-        """Add `scale` times B^T f to a velocity vector."""
-        self.access.add_tube(scale * self.block.spread(self.force), vector)
-
-    def _release(self):
-        """Free what belongs to one tube."""
-        if self.window is not None:
-            self.window.destroy()
-            self.access.destroy()
+    def add(self, force, vector):
+        """Add forces on these faces to a velocity vector.  Collective."""
+        self.vector.getArray()[:] = force
+        self._scatter.scatter(self.vector, vector, addv=True, mode=PETSc.ScatterMode.REVERSE)
 
     def destroy(self):
-        """Free the solver.  Collective."""
-        self._release()
-        self.arcs.destroy()
-        if self.ksp is not None:
-            for part in (self.ksp, self._operator, self._residual, self._change):
-                part.destroy()
-        self._rhs.destroy()
+        """Free window and scatter.  Collective."""
+        self.window.destroy()
+        self._scatter.destroy()
 
 
-class _TubePC:
-    """PETSc python PC: the tube in place of the box."""
+class Force:
+    """Conjugate gradients for the stresses.  Collective.
 
-    def __init__(self, solver):
-        self.solver = solver
+    Parameters
+    ----------
+    fluid : Momentum or Stokes
+        With a transform.
+    membranes : Membranes
+    kernel : Kernel
+    """
+
+    def __init__(self, fluid, membranes, kernel):
+        self.fluid = fluid
+        self.model = MarkerModel(membranes.curves, fluid.grid, kernel, fluid.rho, fluid.mu,
+                                 fluid.share, fluid.prefix + "model_")
+        self._near = self._interval = None
+        self._base = fluid.grid.velocity_vector()
+        self._load = krylov.vector_on_root(membranes.stress_count, fluid.grid.comm)
+        self._stress = self._load.duplicate()
+        self._operator = krylov.Operator(self._stress, self)
+        self.ksp = krylov.create(self._operator.matrix, fluid.prefix, DEFAULTS)
+        krylov.use_python(self.ksp, self)
+
+    @property
+    def rtol(self):
+        """Relative tolerance of a solve."""
+        return self.ksp.getTolerances()[0]
+
+    def begin(self, rhs, stage):
+        """Take right-hand side and first guess."""
+        self.rhs, self.stage = rhs, stage
+        self._free_velocity = None
+
+    def update(self, interval, operators, stress):
+        """Set the system for a configuration of the membranes."""
+        changed = self.fluid.update(interval)
+        self.interval, self.operators = interval, operators
+        self._free = stress / interval
+        with phase("marker model"):
+            self.model.update(interval, operators)
+        self._place(operators.interpolation.stencil, changed)
+        if self._free_velocity is None:
+            self.fluid.solve(self.rhs, self._base)
+            self._free_velocity = self._near.gather(self._base)
+        self._operator.changed()
+        self.ksp.setOperators(self._operator.matrix)
+
+    def _place(self, stencil, changed):
+        """Follow the markers: as a rule, they are still where they see the same faces."""
+        matrix = self._near.interpolation(stencil) if self._near and not changed else None
+        if self.fluid.grid.comm.tompi4py().bcast(matrix is None):
+            if self._near:
+                self._near.destroy()
+            self._near = Near(self.fluid, stencil)
+            matrix = self._near.interpolation(stencil)
+            if self._free_velocity is not None:
+                self._free_velocity = self._near.gather(self._base)
+        self._interpolation = matrix
+
+    def _carry(self, velocity):
+        """Pi J w for velocities near the markers."""
+        return self.operators.project((self._interpolation @ velocity).reshape(-1, 2))
+
+    def _moved_by(self, force):
+        """(H' + K) f for forces on the markers."""
+        spread = self._interpolation.T @ self.operators.project(force).ravel()
+        velocity = self._near.respond(spread / self.fluid.grid.cell_area)
+        return self._carry(velocity) + self.operators.slip_velocity(force)
+
+    def mult(self, x, y):
+        """y = (1 / (theta dt) + C (H' + K) C^T) x."""
+        stress = x.getArray(readonly=True)
+        velocity = self._moved_by(self.operators.force(stress))
+        y.getArray()[:] = stress / self.interval - self.operators.rate(velocity)
 
     def apply(self, pc, x, y):
-        """Set y to the preconditioner times x."""
-        self.solver.arcs.precondition(x, y)
+        """y = the model's inverse times x."""
+        y.getArray()[:] = self.model.solve(x.getArray(readonly=True))
+
+    def iterate(self, rtol):
+        """Solve for the stresses.  Returns the iterations."""
+        carried = self._carry(self._free_velocity)
+        self._load.getArray()[:] = self._free + self.operators.rate(carried)
+        self._stress.getArray()[:] = self.stage.stress
+        with krylov.tolerances(self.ksp, rtol):
+            iterations = krylov.solve(
+                self.ksp, self._load, self._stress, self.fluid.name, krylov.advice(self.ksp))
+        self.stage.stress = self._stress.getArray(readonly=True).copy()
+        return iterations
+
+    def marker_velocity(self):
+        """U for the stresses of the last solution."""
+        force = self.operators.force(self.stage.stress)
+        return self._carry(self._free_velocity) + self._moved_by(force)
+
+    def finish(self):
+        """Set the stage's velocity, and its pressure where there is one."""
+        force = self.operators.project(self.operators.force(self.stage.stress))
+        self.rhs.copy(self._base)
+        self._near.add(
+            self._interpolation.T @ force.ravel() / self.fluid.grid.cell_area, self._base)
+        self.fluid.solve(self._base, self.stage.velocity, self.stage.pressure)
 
     def view(self, pc, viewer):
         """Say what it is, and what inverts the fluid's matrix."""
-        viewer.printfASCII("  the membrane's force in the tube alone, by a direct solver\n")
-        viewer.printfASCII("  within products with the inverse of the fluid's matrix:\n")
-        self.solver.response.view(pc, viewer)
+        viewer.printfASCII("  membrane stresses in marker space; within products:\n")
+        self.fluid.view(viewer)
+
+    def destroy(self, pc=None):
+        """Free the solver; PETSc calls this too.  Collective."""
+        if pc is not None:
+            return
+        if self._near:
+            self._near.destroy()
+        self.model.destroy()
+        for part in (self.ksp, self._operator, self._load, self._stress, self._base):
+            part.destroy()

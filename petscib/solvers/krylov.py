@@ -15,7 +15,7 @@ _entered = []  # full names of the defaults that are in PETSc's database
 
 
 class Operator:
-    """A square PETSc matrix that acts as whatever object it is told to.
+    """A square PETSc matrix whose product an object computes.
 
     One matrix serves a whole run, because preconditioners keep a reference to it.
 
@@ -23,32 +23,55 @@ class Operator:
     ----------
     vector : PETSc.Vec
         Any vector of its layout.
+    action
+        Its method mult(x, y) sets y to the product with x.
     """
 
-    def __init__(self, vector):
-        self.action = None
+    def __init__(self, vector, action):
+        self.action = action
         sizes = (vector.getSizes(),) * 2
-        self.matrix = PETSc.Mat().createPython(sizes, _Action(self), comm=vector.comm)
+        self.matrix = PETSc.Mat().createPython(sizes, self, comm=vector.comm)
         self.matrix.setUp()
 
-    def act_as(self, action):
-        """Let `action.mult(x, y)` be the product from now on."""
-        self.action = action
-        self.matrix.assemble()  # tells PETSc that it changed
-
-    def destroy(self):
-        """Free the matrix.  Collective."""
-        self.matrix.destroy()
-
-
-class _Action:
-    """What PETSc calls."""
-
-    def __init__(self, operator):
-        self.operator = operator
-
     def mult(self, matrix, x, y):
-        self.operator.action.mult(x, y)
+        """What PETSc calls."""
+        self.action.mult(x, y)
+
+    def changed(self):
+        """Tell PETSc that the matrix is another now."""
+        self.matrix.assemble()
+
+    def destroy(self, matrix=None):
+        """Free the matrix; PETSc calls this too.  Collective."""
+        if matrix is None:
+            self.matrix.destroy()
+
+
+def join(blocks):
+    """One vector that is made of all of these, or the only one of them."""
+    return blocks[0] if len(blocks) == 1 else PETSc.Vec().createNest(blocks, comm=blocks[0].comm)
+
+
+def blocks_of(vector):
+    """The vectors that one is made of, or itself alone."""
+    return vector.getNestSubVecs() if vector.getType() == "nest" else [vector]
+
+
+def vector_on_root(count, comm):
+    """New zero vector with `count` entries on the first rank and none on the others."""
+    return PETSc.Vec().createMPI((count if comm.rank == 0 else 0, PETSc.DETERMINE), comm=comm)
+
+
+def is_conjugate_gradients(prefix, default):
+    """Whether the type of a KSP will be one for symmetric positive definite systems."""
+    return "cg" in PETSc.Options(prefix).getString("ksp_type", default)
+
+
+def use_python(ksp, context):
+    """Let an object precondition, unless the user has chosen something else."""
+    pc = ksp.getPC()
+    if pc.getType() == "python" and pc.getPythonContext() is None:
+        pc.setPythonContext(context)
 
 
 def set_defaults(prefix, defaults):
@@ -91,12 +114,6 @@ def create(matrix, prefix, defaults):
     return ksp
 
 
-def has_exact_preconditioner(ksp):
-    """Whether the preconditioner is one of ours that inverts its matrix."""
-    pc = ksp.getPC()
-    return pc.getType() == "python" and getattr(pc.getPythonContext(), "exact", False)
-
-
 def reason_name(ksp):
     """Name of the reason why a solve failed, such as DIVERGED_MAX_IT."""
     reason = ksp.getConvergedReason()
@@ -110,14 +127,15 @@ def advice(ksp):
 
 
 @contextmanager
-def tolerances(ksp, rtol, atol):
-    """Solve with other tolerances inside the block.  Not collective."""
-    usual = ksp.getTolerances()
-    ksp.setTolerances(rtol=rtol, atol=atol)
+def tolerances(ksp, rtol):
+    """Solve with another relative tolerance inside the block, if it is not None."""
+    usual = ksp.getTolerances()[0]
+    if rtol is not None:
+        ksp.setTolerances(rtol=rtol)
     try:
         yield
     finally:
-        ksp.setTolerances(rtol=usual[0], atol=usual[1])
+        ksp.setTolerances(rtol=usual)
 
 
 def solve(ksp, rhs, solution, what, advice):

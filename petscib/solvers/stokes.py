@@ -1,242 +1,126 @@
-"""Fast direct solver of the fluid's coupled system: velocity and pressure at once."""
+"""The fluid's part of the coupled system: velocity and pressure together."""
 
-import numpy as np
-from petsc4py import PETSc
+from . import krylov
+from .momentum import VELOCITY_DEFAULTS, Momentum
+from .poisson import PoissonSolver
 
-from ..fluid.operators import assemble
-from .biharmonic import Spectrum
-from .spectral import (
-    NO_FLUX,
-    WALL_AT_POINT,
-    Field,
-    Slabs,
-    SpectralSolver,
-    X,
-    Y,
-    given_places,
-    transform,
-    velocity_fields,
-)
-from .transforms import attribute
+POISSON_DEFAULTS = {"ksp_type": "preonly", "pc_type": "gamg", "mg_coarse_sub_pc_type": "svd"}
 
 
-class StreamWindow:
-    """R Z (Z^T A0 Z)^{-1} Z^T R^T, with R the restriction to some faces.  Collective.
+class Stokes(Momentum):
+    """K0 = [[A0, s G], [s G^T, 0]] on velocities and pressures.  Collective.
 
-    The velocities without divergence that forces on these faces cause there.  Transforms leave out
-    grid lines that meet none of the faces.
+    The factor s balances the rows; the pressures among the unknowns are p / s.  Its preconditioner
+    is the projection method: A0 u* = f, then a Poisson problem for the pressure.  Exact in a
+    periodic box with exact inner solvers; walls leave a splitting error that the outer iteration
+    removes.
 
     Parameters
     ----------
-    grid : Grid
-    spectrum : Spectrum
-    bounds : ((int, int), (int, int))
-        First and last row, and first and last column, of the corners next to the faces.
-    faces : list of (ndarray, ndarray)
-        Rows and columns of the faces of u and of v that this rank has.
-    places : ndarray
-        Place of each, u before v, in this rank's part of the vectors.
-    vector : PETSc.Vec
-        Any vector over the faces; entries at other places are left out.
-
-    Attributes
-    ----------
-    vector : PETSc.Vec
+    operators : Operators
+    rho, mu : float
+    transform : StokesTransform, optional
+        Exact inverse; without it, multigrid.
     """
 
-    def __init__(self, grid, spectrum, bounds, faces, places, vector):
-        self.spectrum, self.vector = spectrum, vector
-        self._first = 1 - spectrum.axis
-        rows, columns = (
-            slice(max(start, 1), min(stop + 1, cells))
-            for (start, stop), cells in zip(bounds, (grid.n, grid.m))
-        )
-        window = slice(rows.start - 1, rows.stop - 1), slice(columns.start - 1, columns.stop - 1)
-        # Complete lines in the first direction.
-        if self._first == Y:
-            rows, window = slice(1, grid.n), (slice(None), window[1])
-        else:
-            columns, window = slice(1, grid.m), (window[0], slice(None))
-        turned = spectrum.slabs
-        numbers = turned.numbers[0][window]
-        self._turn = None
-        if grid.comm.size == 1 and numbers.size == turned.numbers[0].size:
-            self._begin = turned
-        else:
-            self._begin = Slabs(grid.comm, [numbers.shape], self._first)
-            self._turn = self._begin.scatter_from(turned.vector, [numbers])
-        # One corner more on each side: on walls, and outside the window, it stays -1.
-        table = np.full((grid.n + 1, grid.m + 1), -1, dtype=PETSc.IntType)
-        table[rows, columns] = self._begin.numbers[0]
-        self._curl = self._assemble_curl(grid, table, faces, places)
+    name, prefix = "coupled", "coupled_"
+    share = 0.5
+    # GMRES with 30 vectors would stall at long time steps, where some 50 iterations are needed.
+    defaults = {
+        "ksp_type": "fgmres", "ksp_rtol": 1e-6, "ksp_max_it": 500, "ksp_gmres_restart": 60,
+        "pc_type": "python",
+    }
+    symmetric = False
 
-    def _assemble_curl(self, grid, table, faces, places):
-        """The matrix R Z."""
-        (u_rows, u_columns), (v_rows, v_columns) = faces
-        joined = np.full((self.vector.getLocalSize(), 2), -1, dtype=PETSc.IntType)
-        values = np.zeros(joined.shape)
-        count = len(u_rows)
-        u_places, v_places = places[:count], places[count:]
-        joined[u_places, 0] = table[u_rows + 1, u_columns]
-        joined[u_places, 1] = table[u_rows, u_columns]
-        joined[v_places, 0] = table[v_rows, v_columns]
-        joined[v_places, 1] = table[v_rows, v_columns + 1]
-        values[u_places] = np.array([1, -1]) / grid.dy
-        values[v_places] = np.array([1, -1]) / grid.dx
-        shape = self.vector.getSizes(), self._begin.vector.getSizes()
-        return assemble(grid.comm, shape, joined, values)
+    def __init__(self, operators, rho, mu, transform=None):
+        super().__init__(operators, rho, mu, transform)
+        self._poisson = None
+        self._slope = self.grid.velocity_vector()
+        self._excess = self.grid.pressure_vector()
 
-    def respond(self, force, velocity):
-        """Set `velocity` to what `force` causes; they may be the same vector."""
-        begin, turned, basis = self._begin, self.spectrum.slabs, WALL_AT_POINT
-        self._curl.multTranspose(force, begin.vector)
-        transform([basis.forward], self._first, begin)
-        if self._turn is not None:
-            turned.values[:] = 0.0
-            self._turn.scatter(begin.vector, turned.vector, mode=PETSc.ScatterMode.REVERSE)
-        self.spectrum.solve()
-        if self._turn is not None:
-            self._turn.scatter(turned.vector, begin.vector, mode=PETSc.ScatterMode.FORWARD)
-        transform([basis.inverse], self._first, begin)
-        self._curl.mult(begin.vector, velocity)
+    @property
+    def scale(self):
+        """The factor s: how a momentum residual answers a velocity error, times its width."""
+        width = min(self.grid.dx, self.grid.dy)
+        return self.rho * width / self.interval + self.mu / width
 
-    def solve(self):
-        """Replace the vector's values, forces on the faces, by the velocities there."""
-        self.respond(self.vector, self.vector)
+    def blocks(self):
+        """New vectors of the unknowns."""
+        return [self.grid.velocity_vector(), self.grid.pressure_vector()]
+
+    def load(self, unknowns, velocity, pressure):
+        """Take first guesses over into the unknowns."""
+        velocity.copy(unknowns[0])
+        pressure.copy(unknowns[1])
+        unknowns[1].scale(1 / self.scale)
+
+    def store(self, unknowns, velocity, pressure):
+        """Set velocity and pressure; the latter of zero mean."""
+        unknowns[0].copy(velocity)
+        unknowns[1].copy(pressure)
+        pressure.scale(self.scale)
+        pressure.shift(-pressure.sum() / pressure.getSize())
+
+    def set_source(self, rhs):
+        """Set the right-hand side of div w = 0: what flows through the walls."""
+        if self.operators.wall_flux is not None:
+            self.operators.wall_flux.copy(rhs[1])
+            rhs[1].scale(self.scale)
+
+    def mult(self, x, y):
+        """y = K0 x for lists of blocks."""
+        super().mult(x, y)
+        x[1].copy(self._excess)
+        self._excess.scale(self.scale)
+        gradient = self.operators.gradient
+        gradient.multAdd(self._excess, y[0], y[0])
+        gradient.multTranspose(x[0], y[1])
+        y[1].scale(self.scale)
+
+    def solve(self, rhs, velocity, pressure=None):
+        """Solve for velocity and pressure exactly, by transforms."""
+        if pressure is None:
+            pressure = self._excess
+        source = self.operators.wall_flux
+        self.transform.solve(rhs, source, velocity, pressure)
+        pressure.shift(-pressure.sum() / pressure.getSize())
+
+    def precondition(self, rhs, answer):
+        """Set answer to about K0^{-1} rhs, lists of blocks."""
+        interval, scale, excess = self.interval, self.scale, self._excess
+        (force, source), (velocity, pressure) = rhs, answer
+        if self.transform is not None:
+            source.copy(excess)
+            excess.scale(1 / scale)
+            self.transform.solve(force, excess, velocity, pressure)
+            pressure.scale(1 / scale)
+            return
+        super().precondition(rhs, answer)
+        if self._poisson is None:
+            self._poisson = PoissonSolver(
+                self.operators, self.prefix + "poisson_", POISSON_DEFAULTS)
+        gradient = self.operators.gradient
+
+        # (theta dt) Laplacian phi = div u* less what the source asks for, with div = -G^T
+        gradient.multTranspose(velocity, excess)
+        excess.axpby(1 / (scale * interval), -1 / interval, source)
+        pressure.set(0.0)
+        self._poisson.solve(excess, pressure)
+
+        # u = u* - theta dt grad phi,  p = rho phi - mu (div u* less its source)
+        gradient.mult(pressure, self._slope)
+        velocity.axpy(-interval, self._slope)
+        pressure.axpby(-self.mu * interval / scale, self.rho / scale, excess)
+
+    def view(self, viewer):
+        """Show what preconditions."""
+        super().view(viewer)
+        if self._poisson is not None:
+            self._poisson.ksp.view(viewer)
 
     def destroy(self):
-        """Free matrix and vectors.  Collective."""
-        self._curl.destroy()
-        self.vector.destroy()
-        if self._turn is not None:
-            self._turn.destroy()
-            self._begin.vector.destroy()
-
-
-class StokesTransform:
-    """PETSc python PC: K0^{-1}, the coupled system of the fluid alone solved directly.
-
-    The velocity is a gradient that has the divergence asked for, plus the curl of a stream
-    function (see `biharmonic`); the pressure is what balances the forces then.  Its matrix must be
-    that of a `CoupledSolver`, which carries the `FluidPair`.
-    """
-
-    exact = True
-
-    def __init__(self):
-        self._pair = self._coefficients = None
-
-    def setUp(self, pc):
-        """Take over the matrix's coefficients.  Collective."""
-        if self._pair is None:
-            self._begin(attribute(pc.getOperators()[1], "pair"))
-        coefficients = self._pair.fluid.matrix.getAttr("coefficients")
-        if coefficients != self._coefficients:
-            self._coefficients = coefficients
-            for spectrum in self._spectra.values():
-                spectrum.set_operator(*coefficients)
-
-    def _begin(self, pair):
-        self._pair, grid, layout = pair, pair.grid, pair.layout
-        self._spectra = {}
-        self._given, *self._source = layout.joint()
-        self._answer, *self._found = layout.joint()
-        self._rest, self._excess = layout.velocity.duplicate(), layout.pressure.duplicate()
-        self._poisson = SpectralSolver(grid, [Field(grid.p_index, (NO_FLUX, NO_FLUX))],
-                                       layout.pressure)
-        self._poisson.set_operator(0.0, 1.0)
-        boxes = grid.u_box, grid.v_box
-        faces = [np.mgrid[box].reshape(2, -1) for box in boxes]
-        places = np.concatenate([
-            grid.local_positions(index, box, layout.velocity).ravel()
-            for index, box in zip((grid.u_index, grid.v_index), boxes)])
-        self._walls = given_places(velocity_fields(grid), layout.velocity)
-        first = Y if grid.dm.getProcSizes()[1] == 1 else X
-        self._box = StreamWindow(grid, self._spectrum(1 - first), ((0, grid.n), (0, grid.m)),
-                                 faces, places, layout.velocity.duplicate())
-
-    def _spectrum(self, axis):
-        if axis not in self._spectra:
-            self._spectra[axis] = Spectrum(self._pair.grid, axis)
-            if self._coefficients is not None:
-                self._spectra[axis].set_operator(*self._coefficients)
-        return self._spectra[axis]
-
-    def window(self, faces):
-        """The answer to forces on some faces, restricted to them.
-
-        Parameters
-        ----------
-        faces : list of (ndarray, ndarray)
-            Rows and columns of the faces of u and of v, on rank 0 (empty elsewhere).
-
-        Returns
-        -------
-        StreamWindow
-            Its vector is over these faces, all on rank 0.
-        """
-        grid = self._pair.grid
-        faces = [np.stack(part) for part in faces]
-        bounds = None
-        if grid.comm.rank == 0:
-            # Each face has corners at its ends.
-            ends = np.concatenate([faces[0], faces[0] + [[1], [0]], faces[1],
-                                   faces[1] + [[0], [1]]], axis=1)
-            bounds = np.stack((ends.min(axis=1), ends.max(axis=1)), axis=1)
-        bounds = grid.comm.tompi4py().bcast(bounds)
-        lines = (bounds[:, 1] - bounds[:, 0]) / (grid.n, grid.m)
-        first = Y if lines[X] <= lines[Y] else X
-        count = sum(part.shape[1] for part in faces)
-        vector = PETSc.Vec().createMPI((count, PETSc.DETERMINE), comm=grid.comm)
-        return StreamWindow(grid, self._spectrum(1 - first), bounds, faces, np.arange(count),
-                            vector)
-
-    def respond(self, force, velocity):
-        """Set `velocity` to what `force` causes, without divergence.  Collective."""
-        self._box.respond(force, velocity)
-        # Faces on walls are coupled to no others.
-        velocity.getArray()[self._walls] = (
-            force.getArray(readonly=True)[self._walls] / self._coefficients[0])
-
-    def pressure(self, rest, pressure):
-        """Set the pressure whose gradient is `rest`, or comes nearest to it.  Collective."""
-        self._pair.gradient.multTranspose(rest, self._excess)
-        self._poisson.solve(self._excess, pressure)
-
-    def lift(self, source, velocity):
-        """Set `velocity` to the gradient g with G^T g = `source`.  Collective."""
-        self._poisson.solve(source, self._excess)
-        self._pair.gradient.mult(self._excess, velocity)
-
-    def apply(self, pc, x, y):
-        """y = K0^{-1} x."""
-        pair = self._pair
-        (force, source), (velocity, pressure) = self._source, self._found
-        x.copy(self._given)
-        source.scale(1 / pair.scale)
-        self.lift(source, self._rest)
-        pair.fluid.matrix.mult(self._rest, velocity)
-        force.axpy(-1.0, velocity)
-        self.respond(force, velocity)
-        pair.fluid.matrix.mult(velocity, self._box.vector)
-        force.axpy(-1.0, self._box.vector)
-        velocity.axpy(1.0, self._rest)
-        self.pressure(force, pressure)
-        pressure.scale(1 / pair.scale)
-        self._answer.copy(y)
-
-    def view(self, pc, viewer):
-        """Say what it is."""
-        viewer.printfASCII("  exact, by sine transforms of the stream function\n")
-
-    def destroy(self, pc):
-        """Free what PETSc keeps; PETSc calls this.  Collective."""
-        if self._pair is None:
-            return
-        self._poisson.destroy()
-        self._box.destroy()
-        for spectrum in self._spectra.values():
-            spectrum.destroy()
-        for vector in (*self._source, *self._found, self._given, self._answer, self._rest,
-                       self._excess):
-            vector.destroy()
+        """Free matrix and solvers.  Collective."""
+        super().destroy()
+        for part in (self._poisson, self._slope, self._excess):
+            if part is not None:
+                part.destroy()

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..coupling.kernels import KERNELS
-from ..membrane.shapes import ellipse_perimeter
+from ..membranes.shapes import ellipse_perimeter
 from . import report, runs
 from .campaign import Campaign
 

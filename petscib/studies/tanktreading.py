@@ -15,7 +15,7 @@ import sys
 
 import numpy as np
 
-from ..membrane.shapes import ellipse_perimeter
+from ..membranes.shapes import ellipse_perimeter
 from . import report
 from .campaign import Campaign
 

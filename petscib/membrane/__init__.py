@@ -1,1 +1,0 @@
-"""The membrane: marker shapes, geometry and forces."""

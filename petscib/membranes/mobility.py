@@ -1,0 +1,103 @@
+"""How markers move besides being carried by the interpolated velocity.
+
+The smoothed delta function rounds off the kink that a tangential force makes in the velocity; the
+markers slip by what is missing then.  And of the interpolated velocity, the part that would change
+the area a membrane encloses is left out.
+"""
+
+import numpy as np
+
+from ..coupling import kink
+
+
+class Slip:
+    """The kink correction K: a velocity along the membrane for a force on the markers.
+
+    U = J w + K F, K = C(m) h_n / (2 mu |X_s|) t t^T with F the force per ds, t the unit chord at
+    a marker, n its normal, h_n = |(n_x dx, n_y dy)| and C the factor of `coupling.kink`.
+
+    Parameters
+    ----------
+    curves : Curves
+    markers : ndarray, shape (M, 2)
+        Where the chords are taken: at the step's start, or in its middle.
+    grid : Grid
+    kernel : Kernel
+    mu : float
+        Viscosity.
+
+    Attributes
+    ----------
+    tangent : ndarray, shape (M, 2)
+        t.
+    mobility : ndarray, shape (M,)
+        Velocity along t for a force along t on the marker.
+    """
+
+    def __init__(self, curves, markers, grid, kernel, mu):
+        chord = curves.chords(markers)
+        # The curve's length that a marker stands for, |X_s| ds.
+        ends = (curves.after == np.arange(len(markers))) | (
+            curves.before == np.arange(len(markers)))
+        length = np.hypot(*chord.T)
+        self.tangent = chord / length[:, None]
+        scaled = self.tangent[:, ::-1] * (grid.dx, grid.dy)  # the normal, but for signs
+        spacing = np.hypot(*scaled.T)
+        factor = kink.thickness(kernel, scaled / spacing[:, None])
+        self.mobility = factor * spacing / (2 * mu * length * np.where(ends, 1.0, 0.5))
+
+    def velocity(self, force):
+        """K f, shape (M, 2), for a force on the markers (per marker, not per ds)."""
+        along = self.mobility * np.einsum("ki,ki->k", self.tangent, force)
+        return along[:, None] * self.tangent
+
+
+class AreaProjector:
+    """Pi = 1 - N N^T / |N|^2 for each closed membrane: velocities that keep the polygon's area.
+
+    N is the gradient of the area with respect to the markers, half the chord turned by a quarter.
+
+    Parameters
+    ----------
+    curves : Curves
+    markers : ndarray, shape (M, 2)
+    """
+
+    def __init__(self, curves, markers):
+        self.curves = curves
+        chord = curves.chords(markers) * curves.closed[:, None]
+        self.normal = np.stack((chord[:, 1], -chord[:, 0]), axis=1) / 2
+        self.square = curves.sums(np.einsum("ki,ki->k", self.normal, self.normal))
+
+    def component(self, values):
+        """N . q / |N|^2 of each membrane for values (M, 2) at the markers."""
+        products = self.curves.sums(np.einsum("ki,ki->k", self.normal, values))
+        return np.divide(products, self.square, out=np.zeros_like(products),
+                         where=self.square > 0)
+
+    def project(self, values):
+        """Pi q, shape (M, 2)."""
+        return values - self.curves.spread(self.component(values))[:, None] * self.normal
+
+
+def areas(curves, markers):
+    """Signed area inside each curve's polygon, shape (V,); meaningless for open curves."""
+    ahead = markers[curves.after]
+    origin = markers[curves.starts[:-1]] if len(markers) else markers[:0]
+    local = markers - np.repeat(origin, np.diff(curves.starts), axis=0)
+    ahead = ahead - np.repeat(origin, np.diff(curves.starts), axis=0)
+    return curves.sums(local[:, 0] * ahead[:, 1] - local[:, 1] * ahead[:, 0]) / 2
+
+
+def restore_areas(curves, markers, target):
+    """Shift markers along N until each closed membrane has the signed area `target`.
+
+    Newton's method; the area is quadratic in the shift, so three steps take an error of 1e-2 to
+    round-off.
+    """
+    for _ in range(3):
+        projector = AreaProjector(curves, markers)
+        missing = np.divide(target - areas(curves, markers), projector.square,
+                            out=np.zeros_like(target), where=projector.square > 0)
+        markers = markers + curves.spread(missing)[:, None] * projector.normal
+    return markers

@@ -1,0 +1,197 @@
+"""A model of the fluid's answer to membrane forces, in marker space alone.
+
+A force f on the markers moves them by (H + K) f, with H = J A^{-1} J^T / (dx dy) the answer of the
+fluid and K the kink correction.  The stresses m of the membranes solve
+
+    (1 / (theta dt) + C (H + K) C^T) m = right-hand side,
+
+and this module inverts that matrix with a model of H.  Along a straight membrane, for a wave number
+k, H is
+
+    1 / ds int dq / (2 pi) phi^2(k, q) / (mu (k^2 + q^2) + rho / (theta dt)),
+
+half of it where the fluid's answer has no divergence.  With phi^2 about exp(-s2 h^2 (k^2 + q^2)), s2
+the variance of the kernel, this is exp(-s2 h^2 k^2) R(k) / ds with
+
+    R(k) = erfcx(sqrt(s2) h kappa) / (2 mu kappa),    kappa^2 = k^2 + rho / (mu theta dt).
+
+R is fitted by a few poles, sum_j c_j / (p_j^2 + k^2), and the exponential is the square of the
+kernel sampled along the curve, Phi.  With one more unknown y_j a marker, component and pole,
+
+    [ 1 / (theta dt) + C K C^T    C Phi ...             ] [m  ]
+    [ Phi C^T ...                 (D_ss - p_j^2) / c_j  ] [y_j],
+
+D_ss the second difference: a sparse symmetric quasidefinite matrix along the curves, factored once
+for each configuration of the membranes.  Nothing of it grows with the grid.
+"""
+
+import numpy as np
+from scipy.optimize import nnls
+from scipy.sparse import block_diag, bmat, csr_matrix, diags, hstack, identity, kron, triu
+from scipy.special import erfcx
+
+from .cholesky import Cholesky
+
+POLES = 3  # two need a third more iterations at dt = 16 h, four save none
+
+
+def fit_poles(wavenumbers, symbol, low, high):
+    """Poles and weights with sum_j c_j / (p_j^2 + k^2) about `symbol`, relatively.
+
+    Parameters
+    ----------
+    wavenumbers, symbol : ndarray
+        Where it is fitted, and what.
+    low, high : float
+        The range of p.
+
+    Returns
+    -------
+    poles, weights : ndarray
+        p_j, and c_j > 0.
+    """
+    poles = np.geomspace(low, high, POLES)
+    table = 1 / (poles**2 + wavenumbers[:, None] ** 2) / symbol[:, None]
+    weights = nnls(table, np.ones(len(symbol)))[0]
+    return poles[weights > 0], weights[weights > 0]
+
+
+def _variance(kernel):
+    """Variance of a kernel's weights, in squares of the grid spacing: the mean of its two."""
+    def of(weight, radius):
+        middle = (np.arange(64) + 0.5) / 64  # over all offsets to the grid, a sum is an integral
+        lines = np.arange(-np.ceil(radius), np.ceil(radius) + 1)
+        distance = lines[:, None] + middle - 0.5
+        return np.mean(np.sum(weight(distance) * distance**2, axis=0))
+
+    return (of(kernel.along, kernel.along_radius) + of(kernel.across, kernel.across_radius)) / 2
+
+
+def _along(curves, values, offsets):
+    """Sparse matrix that joins each marker to those `offsets` further along its curve.
+
+    `values` has shape (M, number of offsets); beyond open ends nothing is joined.
+    """
+    count = len(curves.ds)
+    marker = np.arange(count)
+    first, length = curves.spread(curves.starts[:-1]), curves.spread(np.diff(curves.starts))
+    local = (marker - first)[:, None] + offsets
+    inside = (local >= 0) & (local < length[:, None]) | curves.closed[:, None]
+    columns = first[:, None] + local % np.maximum(length, 1)[:, None]
+    rows = np.broadcast_to(marker[:, None], columns.shape)
+    matrix = csr_matrix((values[inside], (rows[inside], columns[inside])), (count, count))
+    matrix.sum_duplicates()
+    return matrix
+
+
+class MarkerModel:
+    """The model of 1 / (theta dt) + C (H + K) C^T, factored.  Not collective; work of rank 0.
+
+    Parameters
+    ----------
+    curves : Curves
+    grid : Grid
+    kernel : Kernel
+    rho, mu : float
+    share : float
+        Share of the answer that is without divergence: 1/2 of a force's in the coupled system, or
+        all of it, 1, in the momentum system.
+    prefix : str
+        Options prefix of the direct solver.
+    """
+
+    def __init__(self, curves, grid, kernel, rho, mu, share, prefix):
+        self.curves, self.rho, self.mu, self.share = curves, rho, mu, share
+        self.direct = Cholesky(prefix)
+        self._order = self._interval = None
+        h = np.sqrt(grid.dx * grid.dy)
+        self._smoothing = np.sqrt(_variance(kernel)) * h
+        reach = int(np.floor(kernel.reach * h / curves.ds.min(initial=np.inf)))
+        offsets = np.arange(-reach, reach + 1)
+        distance = curves.ds[:, None] * offsets / h
+        weights = (kernel.along(distance) + kernel.across(distance)) / 2
+        weights /= weights.sum(axis=1, keepdims=True)
+        self._phi = kron(_along(curves, weights, offsets), identity(2), format="csr")
+        second = np.repeat(1 / curves.ds[:, None] ** 2, 3, axis=1) * (1, -2, 1)
+        second = _along(curves, second, np.arange(-1, 2))
+        second.setdiag(second.diagonal() - second @ np.ones(len(curves.ds)))  # at open ends
+        self._second = kron(second, identity(2), format="csr")
+        self._scale = diags(np.repeat(curves.ds, 2))
+        longest = max(np.diff(curves.starts) * curves.ds[curves.starts[:-1]], default=1.0)
+        self._wavenumbers = np.geomspace(2 * np.pi / longest, 3 / h, 60)
+        self._range = 2 * np.pi / longest, 2 / h
+
+    def _fit(self, interval):
+        """Fit the poles, and make the blocks that they alone change."""
+        decay = self.rho / (self.mu * interval)
+        kappa = np.sqrt(self._wavenumbers**2 + decay)
+        symbol = self.share * erfcx(self._smoothing * kappa) / (2 * self.mu * kappa)
+        low = np.hypot(self._range[0], np.sqrt(decay))
+        poles, weights = fit_poles(
+            self._wavenumbers, symbol, low, max(self._range[1], 2 * low))
+        self._blocks = [
+            self._scale @ (self._second - p**2 * identity(self._second.shape[0])) / c
+            for p, c in zip(poles, weights)
+        ]
+        self._interval, self._order = interval, None
+
+    def update(self, interval, operators):
+        """Factor for theta dt = `interval` and the membranes' configuration.
+
+        Parameters
+        ----------
+        interval : float
+        operators : MarkerOperators
+        """
+        if not len(self.curves.ds):
+            return
+        if interval != self._interval:
+            self._fit(interval)
+        stress = stress_block(interval, operators)
+        link = operators.rates @ self._phi
+        if self._order is None:
+            self._begin(stress, link)
+        values = np.concatenate([stress.data, link.data, self._fixed])[self._order]
+        self.direct.factor(csr_matrix((values, *self._pattern), self._shape))
+
+    def _begin(self, stress, link):
+        """Lay out the upper triangle, and which value goes where in it."""
+        blocks = block_diag(self._blocks, format="csr")
+        self._fixed = blocks.data
+        parts, first = [], 1  # numbers from 1 on, as a sparse matrix may drop zeros
+        for part in (stress, link, blocks):
+            number = np.arange(first, first + len(part.data), dtype=float)
+            parts.append(csr_matrix((number, part.indices, part.indptr), part.shape))
+            first += len(part.data)
+        stress, link, blocks = parts
+        whole = bmat([[stress, hstack([link] * len(self._blocks))], [None, blocks]])
+        upper = triu(whole).tocsr()
+        upper.sort_indices()
+        self._order = upper.data.astype(int) - 1
+        self._pattern, self._shape = (upper.indices, upper.indptr), upper.shape
+        self._rows = stress.shape[0]
+        self._rhs = np.zeros(upper.shape[0])
+
+    def solve(self, values):
+        """The model's inverse times an array over the stresses."""
+        if not len(values):
+            return values
+        self._rhs[: self._rows] = values
+        return self.direct.solve(self._rhs)[: self._rows]
+
+    def destroy(self):
+        """Free the factor."""
+        self.direct.destroy()
+
+
+def stress_block(interval, operators):
+    """The sparse matrix 1 / (theta dt) + C K C^T, on rank 0."""
+    rates, slip = operators.rates, operators.slip
+    diagonal = identity(rates.shape[0], format="csr") / interval
+    if slip is None:
+        return diagonal
+    root = np.sqrt(slip.mobility)[:, None] * slip.tangent
+    count = len(root)
+    columns = np.repeat(np.arange(count), 2)
+    along = rates @ csr_matrix((root.ravel(), (np.arange(2 * count), columns)), (2 * count, count))
+    return (along @ along.T + diagonal).tocsr()

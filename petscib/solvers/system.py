@@ -1,0 +1,160 @@
+"""The implicit system that every scheme solves: fluid and membrane forces together.
+
+    [ fluid   - S ] [w]   [b]        w: stage velocity, with the pressure in the coupled system
+    [ J       ... ] [f] = [..]       f: membrane forces at the stage
+
+With the stresses m of the membranes in place of their forces f = - C^T m (see
+`petscib.membranes.laws`) it reads, for one configuration of the membranes,
+
+    A w + J^T Pi C^T m / (dx dy) = b,
+    m / (theta dt) = m0 / (theta dt) + C U,    U = Pi J w - K C^T m,
+
+symmetric, with A the momentum matrix or the coupled one.  Four iterations solve it:
+
+`force`
+    Where transforms invert A exactly: conjugate gradients for m alone.
+`elimination`
+    m eliminated: conjugate gradients for w, preconditioned by multigrid for A.  Without the kink
+    correction K, where that is no use, by a factorisation of the whole assembled matrix.
+`block`
+    FGMRES for w and m, preconditioned by multigrid for A and the marker-space model for m.
+`alone`
+    Without membrane forces.
+
+The relative tolerance means the same in all: of the power of the forces, as far as the
+preconditioner tells it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from petsc4py import PETSc
+
+from . import krylov
+from .alone import Alone
+from .block import Block
+from .elimination import Elimination
+from .force import Force
+
+
+@dataclass
+class Stage:
+    """What a scheme solves for.
+
+    Attributes
+    ----------
+    velocity : PETSc.Vec
+        w, over all faces.
+    pressure : PETSc.Vec
+        Over all cells; only the coupled system sets it.
+    stress : ndarray
+        m, on rank 0; without entries elsewhere.
+    """
+
+    velocity: PETSc.Vec
+    pressure: PETSc.Vec
+    stress: np.ndarray
+
+
+class ImplicitSystem:
+    """The implicit system of one kind of fluid solve.  Collective.
+
+    Solves that belong to one time step, with the membranes in almost the same place::
+
+        system.begin(rhs, stage)
+        for ...:
+            system.update(interval, operators, stress)
+            iterations = system.iterate(rtol)
+            ... = system.marker_velocity()
+        system.finish()
+
+    Parameters
+    ----------
+    fluid : Momentum or Stokes
+        Owned by the system.
+    membranes : Membranes or None
+        None, or without forces: the fluid alone.
+    kernel : Kernel
+    corrected : bool
+        Whether the kink correction is on.
+    """
+
+    def __init__(self, fluid, membranes, kernel, corrected):
+        self.fluid = fluid
+        if membranes is None or not membranes.act:
+            self._iteration = Alone(fluid)
+        elif corrected and krylov.is_conjugate_gradients(
+            fluid.prefix, "cg" if fluid.transform is not None else fluid.defaults["ksp_type"]
+        ):
+            kind = Force if fluid.transform is not None else Elimination
+            self._iteration = kind(fluid, membranes, kernel)
+        elif corrected:
+            self._iteration = Block(fluid, membranes, kernel)
+        else:
+            self._iteration = Elimination(fluid, membranes, kernel, literal=True)
+
+    @property
+    def rtol(self):
+        """Relative tolerance of a solve."""
+        return self._iteration.rtol
+
+    def begin(self, rhs, stage):
+        """Take the right-hand side b of a time step and first guesses.
+
+        Parameters
+        ----------
+        rhs : PETSc.Vec
+            Force per area on the faces, without that of the membranes; kept.
+        stage : Stage
+            Kept, and set by `finish`.
+        """
+        self._iteration.begin(rhs, stage)
+
+    def update(self, interval, operators=None, stress=None):
+        """Set the system for theta dt = `interval` and a configuration of the membranes.
+
+        Parameters
+        ----------
+        interval : float
+        operators : MarkerOperators, optional
+            Kept until the next call.
+        stress : ndarray, optional
+            m0, that of the step's start.
+        """
+        self._iteration.update(interval, operators, stress)
+
+    def iterate(self, rtol=None):
+        """Solve so far that the markers' motion holds.  Returns the iterations.
+
+        Parameters
+        ----------
+        rtol : float, optional
+            In place of the solver's relative tolerance.
+
+        Raises
+        ------
+        SolveError
+            On all ranks.
+        """
+        return self._iteration.iterate(rtol)
+
+    def marker_velocity(self):
+        """U of the last `iterate`: (M, 2) on rank 0, (0, 2) elsewhere."""
+        return self._iteration.marker_velocity()
+
+    def finish(self):
+        """Set the stage everywhere."""
+        self._iteration.finish()
+
+    def solve(self, rhs, stage, interval, operators=None, stress=None):
+        """Solve one configuration.  Returns the iterations."""
+        self.begin(rhs, stage)
+        self.update(interval, operators, stress)
+        iterations = self.iterate()
+        self.finish()
+        return iterations
+
+    def destroy(self):
+        """Free the solvers.  Collective."""
+        self._iteration.destroy()
+        self.fluid.destroy()
