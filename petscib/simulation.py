@@ -27,15 +27,14 @@ ROUND_OFF = 1e-6  # of a time step: what is left of a run when it counts as fini
 
 def _use_transforms(settings):
     """Make fast direct solvers the default."""
-    from .solvers import transforms  # needs scipy, and says so
-    from .solvers.stokes import StokesTransform
+    from .solvers import transform_pcs as transforms
 
     fluid_alone = settings.scheme == "ep" or not (settings.sigma0 or settings.bending)
     if settings.scheme in ("ep", "mbe", "mcn"):
         transforms.use("momentum_", transforms.FluidTransform, fluid_alone)
         transforms.use("poisson_", transforms.PoissonTransform, alone=True)
     else:
-        transforms.use("coupled_", StokesTransform, fluid_alone)
+        transforms.use("coupled_", transforms.StokesTransform, fluid_alone)
 
 
 def _controls(settings):

@@ -6,7 +6,7 @@ from .coupling.kernels import KERNELS
 from .errors import InputError
 from .fluid.grid import Grid
 from .fluid.operators import Operators
-from .fluid.walls import Walls
+from .fluid.sides import Sides
 from .membrane import geometry, shapes
 from .membrane.forces import Membrane
 from .output import checkpoint
@@ -30,7 +30,7 @@ def build_problem(settings, comm, header=None):
         On all ranks: the marker file or the checkpoint is unfit.
     """
     grid = Grid((settings.stag_grid_x, settings.stag_grid_y), settings.domain, comm)
-    walls = Walls(grid, settings.flow, settings.shear_rate)
+    sides = Sides(grid, settings.flow, settings.shear_rate)
     membrane, markers, stretch = None, np.zeros((0, 2)), np.zeros(0)
     if settings.vesicles:
         if header is not None:
@@ -44,7 +44,7 @@ def build_problem(settings, comm, header=None):
         membrane = Membrane(ds, settings.sigma0, settings.bending, rest)
     problem = Problem(
         grid,
-        Operators(grid, walls),
+        Operators(grid, sides),
         settings.rho,
         settings.mu,
         membrane,
@@ -54,7 +54,7 @@ def build_problem(settings, comm, header=None):
     if header is not None:
         return problem, checkpoint.load_state(header, grid, markers, stretch)
     velocity, pressure = grid.velocity_vector(), grid.pressure_vector()
-    walls.fill(velocity)
+    sides.fill(velocity)
     return problem, State(0, 0.0, velocity, pressure, markers, stretch)
 
 

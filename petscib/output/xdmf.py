@@ -125,7 +125,7 @@ class Series:
         """
         problem, grid = self.problem, self.problem.grid
         name = f"fields-{state.step:08d}.h5"
-        velocity, vorticity = cell_fields(grid, problem.operators.walls, state.velocity)
+        velocity, vorticity = cell_fields(grid, problem.operators.sides, state.velocity)
         pressure = grid.pressure_block(state.pressure)
         shape, box = grid.p_index.shape, grid.p_box
         a, b, c, d = grid.domain

@@ -1,15 +1,13 @@
-"""Fast direct solvers of the momentum and Poisson matrices, by transforms (see `spectral`).
+"""The fast direct solvers (see `transforms`) as preconditioners that PETSc makes by name:
 
-They are preconditioners that PETSc makes by name: ``-poisson_pc_type python
--poisson_pc_python_type petscib.solvers.transforms.PoissonTransform``.
+``-poisson_pc_type python -poisson_pc_python_type petscib.solvers.transform_pcs.PoissonTransform``.
 """
 
 from petsc4py import PETSc
 
 from ..errors import InputError
 from . import krylov
-from .spectral import NO_FLUX, Field, SpectralSolver, given_places, velocity_fields
-from .window import Window
+from .transforms import helmholtz, poisson, stokes
 
 
 def use(prefix, preconditioner, alone):
@@ -47,45 +45,30 @@ def attribute(matrix, name):
 
 
 class FluidTransform:
-    """PETSc python PC: the inverse of rho / (theta dt) - mu Laplacian on the velocity layout.
-
-    Its matrix must be that of a `FluidMatrix`, which carries the grid and the coefficients.
-    """
+    """PETSc python PC: `HelmholtzTransform` of a `FluidMatrix`, which carries what it needs."""
 
     exact = True
-
-    def __init__(self):
-        self._solver = self._coefficients = None
+    _solver = None
 
     def setUp(self, pc):
         """Take over the matrix's coefficients.  Collective."""
         matrix = pc.getOperators()[1]
         coefficients = attribute(matrix, "coefficients")
         if self._solver is None:
-            self._grid = grid = attribute(matrix, "grid")
-            fields = velocity_fields(grid)
-            vector = grid.velocity_vector()
-            self._solver = SpectralSolver(grid, fields, vector)
-            self._walls = given_places(fields, vector)
-            vector.destroy()
-        if coefficients != self._coefficients:
-            self._coefficients = coefficients
-            self._solver.set_operator(*coefficients)
+            self._solver = helmholtz.HelmholtzTransform(attribute(matrix, "grid"))
+        self._solver.set_coefficients(*coefficients)
 
     def apply(self, pc, x, y):
         """y = A0^{-1} x."""
-        self.respond(x, y)
+        self._solver.solve(x, y)
 
     def respond(self, force, velocity):
         """Set `velocity` to what `force` causes.  Collective."""
         self._solver.solve(force, velocity)
-        # Faces on walls are coupled to no others.
-        velocity.getArray()[self._walls] = (
-            force.getArray(readonly=True)[self._walls] / self._coefficients[0])
 
     def window(self, faces):
-        """The answer to forces on some faces, restricted to them (see `Window`)."""
-        return Window(self._grid, *self._coefficients, faces)
+        """The answer to forces on some faces, restricted to them."""
+        return self._solver.window(faces)
 
     def view(self, pc, viewer):
         """Say what it is."""
@@ -98,26 +81,15 @@ class FluidTransform:
 
 
 class PoissonTransform:
-    """PETSc python PC: pseudo-inverse of minus the Laplacian without flux through the walls.
-
-    Its matrix must be the pressure Laplacian of a `PoissonSolver`, which carries the grid.
-    Answers have zero mean.
-    """
+    """PETSc python PC: `PoissonTransform` of a pressure Laplacian that carries its grid."""
 
     exact = True
-
-    def __init__(self):
-        self._solver = None
+    _solver = None
 
     def setUp(self, pc):
         """Make the transforms, once.  Collective."""
         if self._solver is None:
-            grid = attribute(pc.getOperators()[1], "grid")
-            vector = grid.pressure_vector()
-            field = Field(grid.p_index, (NO_FLUX, NO_FLUX))
-            self._solver = SpectralSolver(grid, [field], vector)
-            self._solver.set_operator(0.0, 1.0)
-            vector.destroy()
+            self._solver = poisson.PoissonTransform(attribute(pc.getOperators()[1], "grid"))
 
     def apply(self, pc, x, y):
         """Set y to the pseudo-inverse times x."""
@@ -131,3 +103,44 @@ class PoissonTransform:
         """Free what PETSc keeps; PETSc calls this.  Collective."""
         if self._solver is not None:
             self._solver.destroy()
+
+
+class StokesTransform:
+    """PETSc python PC: `StokesTransform` of a `CoupledSolver`'s matrix, which carries the pair."""
+
+    exact = True
+    _solver = None
+
+    def setUp(self, pc):
+        """Take over the matrix's coefficients.  Collective."""
+        if self._solver is None:
+            self._pair = pair = attribute(pc.getOperators()[1], "pair")
+            self._given, *self._source = pair.layout.joint()
+            self._answer, *self._found = pair.layout.joint()
+            self._solver = stokes.StokesTransform(pair.grid, pair.fluid.operators)
+        self._solver.set_coefficients(*self._pair.fluid.matrix.getAttr("coefficients"))
+
+    def apply(self, pc, x, y):
+        """y = K0^{-1} x."""
+        (_, source), (_, pressure) = self._source, self._found
+        x.copy(self._given)
+        source.scale(1 / self._pair.scale)
+        self._solver.solve(*self._source, *self._found)
+        pressure.scale(1 / self._pair.scale)
+        self._answer.copy(y)
+
+    def __getattr__(self, name):
+        if name in ("respond", "window", "pressure", "lift"):
+            return getattr(self._solver, name)
+        raise AttributeError(name)
+
+    def view(self, pc, viewer):
+        """Say what it is."""
+        viewer.printfASCII("  exact, by sine transforms of the stream function\n")
+
+    def destroy(self, pc):
+        """Free what PETSc keeps; PETSc calls this.  Collective."""
+        if self._solver is not None:
+            self._solver.destroy()
+            for vector in (*self._source, *self._found, self._given, self._answer):
+                vector.destroy()
