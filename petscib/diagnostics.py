@@ -77,7 +77,7 @@ class Diagnostics:
             energy=energies.total,
         )
         row.update(self._fluid(state, step))
-        if self.problem.membrane is not None:
+        if self.problem.membranes is not None:
             row.update(self._vesicle(state, step))
         if step is not None:
             row["dt"] = step.dt
@@ -116,8 +116,8 @@ class Diagnostics:
                 "centroid_y": center[1],
             }
             if step is not None:
-                motion = (markers - step.start.markers) / step.dt
-                measured["treading_frequency"] = geometry.treading_frequency(markers, motion)
+                measured["treading_frequency"] = geometry.treading_frequency(
+                    markers, step.marker_velocity)
         measured = self.problem.grid.comm.tompi4py().bcast(measured)
         if self.reference is None:
             self.reference = {name: measured[name] for name in ("area", "perimeter")}

@@ -223,6 +223,10 @@ _ROWS = (
            automatic="the initial stretching"),
     Option("delta", Choice(tuple(KERNELS)), "yang", MEMBRANE,
            "smoothed delta function between markers and grid"),
+    Option("kink_correction", Flag(), None, MEMBRANE, "let markers slip by what smoothing takes "
+           "from the velocity: second order in space", automatic="true; false for ep"),
+    Option("conserve_area", Flag(), None, MEMBRANE, "keep the area that a membrane encloses",
+           automatic="true; false for ep"),
     Option("stretch", Choice(("recompute", "evolve")), "recompute", MEMBRANE,
            "stretching from the markers at each step, or as a variable of its own"),
 
@@ -257,14 +261,14 @@ TABLE = {option.name: option for option in _ROWS}
 # --- what is PETSc's business
 
 SOLVERS = (
-    ("momentum_", "implicit velocity of ep, mbe, mcn (CG with GAMG on the fluid's matrix)"),
-    ("momentum_tube_", "direct solver of the unknowns near the membrane"),
-    ("momentum_condense", "false: no such solver, and GAMG on the assembled matrix instead"),
+    ("momentum_", "implicit velocity of ep, mbe, mcn (CG with GAMG; fgmres: block iteration)"),
     ("poisson_", "pressure projection (CG with GAMG)"),
     ("coupled_", "velocity and pressure together, be, cn, gbe, gcn (FGMRES; CG with -fft)"),
-    ("coupled_tube_", "direct solver of the unknowns near the membrane"),
-    ("coupled_velocity_", "velocity solve inside its preconditioner"),
-    ("coupled_poisson_", "pressure solve inside its preconditioner"),
+    ("momentum_velocity_", "fluid's solve inside a block iteration; likewise coupled_velocity_"),
+    ("coupled_poisson_", "pressure solve inside the preconditioner"),
+    ("momentum_model_", "direct solver in marker space; likewise coupled_model_"),
+    ("momentum_stress_", "direct solver of the eliminated membrane stresses"),
+    ("coupled_direct_", "direct solver of the whole matrix, without the kink correction"),
 )
 _SOLVER_WORDS = "momentum", "poisson", "coupled"
 

@@ -7,7 +7,8 @@ from petsc4py import PETSc
 
 from .coupling.interpolation import Interpolation
 from .events import phase
-from .membranes import geometry
+from .membranes import mobility
+from .solvers.markers import MarkerOperators
 
 
 @dataclass
@@ -61,10 +62,12 @@ class Step:
         Velocity theta u* + (1 - theta) u^n that the implicit forces saw.
     projection : PETSc.Vec or None
         Pressure increment phi of a projection scheme.
-    stretch_rate : ndarray, shape (M,)
-        Surface divergence of the stage velocity along the step's tangent; None without tension.
     marker_velocity : ndarray, shape (M, 2)
-        The stage velocity at the markers.
+        U that carried the markers over the step.
+    stress_rate : ndarray, shape (R,)
+        Rates C U of the membranes' stresses at the stage; None without forces.
+    slip_power : float
+        Power f . K f of the kink correction, on rank 0.
     iterations : dict
         Linear and nonlinear iterations by solver.
     parts : tuple of Step
@@ -77,8 +80,9 @@ class Step:
     end: State
     stage: PETSc.Vec
     projection: PETSc.Vec = None
-    stretch_rate: np.ndarray = None
     marker_velocity: np.ndarray = None
+    stress_rate: np.ndarray = None
+    slip_power: float = 0.0
     iterations: dict = field(default_factory=dict)
     parts: tuple = ()
 
@@ -105,47 +109,89 @@ class Problem:
     operators : Operators
     rho, mu : float
         Density and viscosity.
-    membrane : Membrane or None
+    membranes : Membranes or None
         None: fluid alone.
     kernel : Kernel
         Smoothed delta function.
     evolve : bool
         Keep the stretching as a variable of its own (Hu & Lai, eq. 3.7) instead of taking it
         from the markers at each step.
+    kink_correction : bool
+        Whether markers slip by what smoothing takes from the velocity (see `mobility`).
+    areas : ndarray, shape (V,), optional
+        Signed areas that the membranes are to keep, on rank 0; None leaves them free.
     """
 
-    def __init__(self, grid, operators, rho, mu, membrane=None, kernel=None, evolve=False):
+    def __init__(self, grid, operators, rho, mu, membranes=None, kernel=None, evolve=False,
+                 kink_correction=True, areas=None):
         self.grid = grid
         self.operators = operators
         self.rho, self.mu = rho, mu
-        self.membrane = membrane
+        self.membranes = membranes
         self.kernel = kernel
         self.evolve = evolve
-
-    def interpolation(self, markers):
-        """The matrix J at these marker positions, or None without a membrane.  Collective."""
-        if self.membrane is None:
-            return None
-        with phase("interpolation assembly"):
-            return Interpolation(self.grid, self.kernel, markers, self.membrane.ds)
+        self.kink_correction = kink_correction
+        self.areas = areas
 
     @property
     def acted_on(self):
-        """Whether a membrane exerts forces on the fluid."""
-        return self.membrane is not None and self.membrane.acts
+        """Whether membranes exert forces on the fluid."""
+        return self.membranes is not None and self.membranes.act
 
-    def fluid_rhs(self, velocity, interval, rhs):
+    @property
+    def conserve_area(self):
+        """Whether membranes keep their areas."""
+        return self.areas is not None
+
+    def interpolation(self, markers):
+        """The matrix J at these marker positions.  Collective."""
+        with phase("interpolation assembly"):
+            return Interpolation(self.grid, self.kernel, markers)
+
+    def operators_between(self, before, after, interpolation):
+        """What acts at the markers on the way between two configurations.
+
+        Parameters
+        ----------
+        before, after : ndarray, shape (M, 2)
+            The same array twice for an instant.
+        interpolation : Interpolation
+
+        Returns
+        -------
+        MarkerOperators
+            C changes stresses by exactly the difference between the two; chords and normals are
+            those of their mean.
+        """
+        with phase("marker operators"):
+            curves = self.membranes.curves
+            middle = before if after is before else (before + after) / 2
+            slip = projector = None
+            if self.kink_correction and self.acted_on:
+                slip = mobility.Slip(curves, middle, self.grid, self.kernel, self.mu)
+            if self.conserve_area:
+                projector = mobility.AreaProjector(curves, middle)
+            return MarkerOperators(
+                interpolation, self.membranes.rates(before, after), slip, projector)
+
+    def operators_at(self, markers):
+        """What acts at these markers; None without membranes.  Collective."""
+        if self.membranes is None:
+            return None
+        return self.operators_between(markers, markers, self.interpolation(markers))
+
+    def stress(self, state):
+        """Stresses of the membranes in a state, on rank 0; None where no membrane acts."""
+        if not self.acted_on:
+            return None
+        return self.membranes.stress(state.markers, state.stretch)
+
+    def fluid_rhs(self, state, interval, rhs):
         """Set rhs = rho / (theta dt) u^n + mu (walls' part of the Laplacian)."""
-        velocity.copy(rhs)
+        state.velocity.copy(rhs)
         rhs.scale(self.rho / interval)
         if self.operators.wall_source is not None:
             rhs.axpy(self.mu, self.operators.wall_source)
-
-    def add_force(self, state, tangent, interpolation, rhs):
-        """Add the membrane force of a state, spread to the grid.  Collective."""
-        with phase("forces"):
-            force = self.membrane.force(state.markers, state.stretch, tangent)
-            interpolation.spread_add(force, rhs)
 
     def first_guess(self, state):
         """The stage velocity, extrapolated from the last two steps (a new vector)."""
@@ -158,16 +204,34 @@ class Problem:
     @staticmethod
     def next_history(state, stage):
         """What the first guess of the next step is made of; takes the stage over."""
-        history = {"stage": stage}
+        history = {"stage": stage.velocity}
         if "stage" in state.history:
-            history["stage_change"] = stage.copy()
+            history["stage_change"] = stage.velocity.copy()
             history["stage_change"].axpy(-1.0, state.history["stage"])
+        if stage.stress is not None:
+            history["stress"] = stage.stress
+            if "stress" in state.history:
+                history["stress_change"] = stage.stress - state.history["stress"]
         return history
 
-    def next_stretch(self, stretch, stretch_rate, dt, markers):
+    def account(self, operators, stage, motion):
+        """What the energy law asks of the markers' part of a step: fields of the Step."""
+        if not self.acted_on:
+            return {}
+        force = operators.force(stage.stress)
+        slip = operators.slip_velocity(force)
+        return {"stress_rate": operators.rate(motion), "slip_power": float(np.sum(force * slip))}
+
+    def keep_areas(self, markers):
+        """Move markers back to where their membranes have the areas they are to keep."""
+        if not self.conserve_area:
+            return markers
+        return mobility.restore_areas(self.membranes.curves, markers, self.areas)
+
+    def next_stretch(self, state, dt, markers, stress_rate):
         """The stretching to carry on with: evolved, or that of the new markers."""
-        if self.membrane is None:
-            return stretch
         if self.evolve:
-            return stretch + dt * stretch_rate
-        return geometry.stretching(markers, self.membrane.ds)
+            tension = self.membranes.law("tension")
+            rate = stress_rate[self.membranes.rows["tension"]]
+            return state.stretch + dt * tension.stretch_rate(rate)
+        return self.membranes.curves.stretching(markers)

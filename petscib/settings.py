@@ -93,6 +93,9 @@ def resolve(values, given, dt_over_h):
         derived["ts_dt"] = dt_over_h * min((b - a) / cells[0], (d - c) / cells[1])
     if values["startup"] is None:
         derived["startup"] = int(values["scheme"] in ("cn", "gcn"))
+    for name in ("kink_correction", "conserve_area"):
+        if values[name] is None:
+            derived[name] = values["scheme"] != "ep"
     if values["output"] is None:
         derived["output"] = os.path.join("out", values["scene"])
     if values["flow"] == "rest":

@@ -25,21 +25,9 @@ from .stepsize import StepSize
 ROUND_OFF = 1e-6  # of a time step: what is left of a run when it counts as finished
 
 
-def _use_transforms(settings):
-    """Make fast direct solvers the default."""
-    from .solvers import transforms  # needs scipy, and says so
-    from .solvers.stokes import StokesTransform
-
-    fluid_alone = settings.scheme == "ep" or not (settings.sigma0 or settings.bending)
-    if settings.scheme in ("ep", "mbe", "mcn"):
-        transforms.use("momentum_", transforms.FluidTransform, fluid_alone)
-        transforms.use("poisson_", transforms.PoissonTransform, alone=True)
-    else:
-        transforms.use("coupled_", StokesTransform, fluid_alone)
-
-
 def _controls(settings):
-    return schemes.Controls(settings.startup, settings.picard_rtol, settings.picard_max_it)
+    return schemes.Controls(
+        settings.startup, settings.picard_rtol, settings.picard_max_it, settings.fft)
 
 
 class Simulation:
@@ -75,8 +63,6 @@ class Simulation:
         self.progress.solver_options = asked
         with stage("set-up"), phase("set-up"):
             self.problem, self.state = build_problem(settings, comm, header)
-            if settings.fft:
-                _use_transforms(settings)
             self.scheme = schemes.create(settings.scheme, self.problem, _controls(settings))
             self.diagnostics = Diagnostics(self.problem, self.progress.reference or None)
         reduced = header and self.progress.dt < header.options["ts_dt"]

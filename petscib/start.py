@@ -6,9 +6,11 @@ from .coupling.kernels import KERNELS
 from .errors import InputError
 from .fluid.grid import Grid
 from .fluid.operators import Operators
-from .fluid.walls import Walls
-from .membranes import geometry, shapes
-from .membranes.forces import Membrane
+from .fluid.sides import Sides
+from .membranes import mobility, shapes
+from .membranes.curves import Curves
+from .membranes.laws import Bending, Tension
+from .membranes.membranes import Membranes
 from .output import checkpoint
 from .problem import Problem, State
 from .settings import check_curve
@@ -30,32 +32,53 @@ def build_problem(settings, comm, header=None):
         On all ranks: the marker file or the checkpoint is unfit.
     """
     grid = Grid((settings.stag_grid_x, settings.stag_grid_y), settings.domain, comm)
-    walls = Walls(grid, settings.flow, settings.shear_rate)
-    membrane, markers, stretch = None, np.zeros((0, 2)), np.zeros(0)
+    sides = Sides(grid, settings.flow, settings.shear_rate)
+    membranes, markers, stretch, areas = None, np.zeros((0, 2)), np.zeros(0), None
     if settings.vesicles:
         if header is not None:
             markers, stretch, rest = checkpoint.load_membrane(header, grid.comm.tompi4py())
-            ds = header.ds
+            curves = _curves(markers, header.ds)
         else:
             markers, ds = _markers(settings, grid)
-            stretch = rest = geometry.stretching(markers, ds)
+            curves = _curves(markers, ds)
+            stretch = rest = curves.stretching(markers)
             if settings.rest_length is not None:
                 rest = np.full_like(stretch, settings.rest_length)
-        membrane = Membrane(ds, settings.sigma0, settings.bending, rest)
+        membranes = Membranes(1, curves, _laws(settings, curves, rest), rest)
+        if settings.conserve_area:
+            areas = mobility.areas(curves, markers)
+            if header is not None:  # those of the run's start
+                areas = np.sign(areas) * header.progress.reference["area"]
     problem = Problem(
         grid,
-        Operators(grid, walls),
+        Operators(grid, sides),
         settings.rho,
         settings.mu,
-        membrane,
+        membranes,
         KERNELS[settings.delta],
         settings.stretch == "evolve" and settings.sigma0 > 0,  # else nothing asks for it
+        settings.kink_correction,
+        areas,
     )
     if header is not None:
         return problem, checkpoint.load_state(header, grid, markers, stretch)
     velocity, pressure = grid.velocity_vector(), grid.pressure_vector()
-    walls.fill(velocity)
+    sides.fill(velocity)
     return problem, State(0, 0.0, velocity, pressure, markers, stretch)
+
+
+def _curves(markers, ds):
+    """How the markers of one closed membrane are joined, on the rank that has them."""
+    return Curves([len(markers)], [ds]) if len(markers) else Curves([], [])
+
+
+def _laws(settings, curves, rest):
+    laws = []
+    if settings.sigma0:
+        laws.append(Tension(curves, settings.sigma0, rest))
+    if settings.bending:
+        laws.append(Bending(curves, settings.bending))
+    return laws
 
 
 def _markers(settings, grid):

@@ -50,40 +50,59 @@ def set_velocity(grid, vector, values):
 # ---------------------------------------------------------------- operators
 
 
-def _second_difference(count, h, half):
-    """Second difference of `count` values with zeros around, the walls half a cell away or not."""
+def second_difference(count, h, ends):
+    """Second difference of `count` values with zeros on the walls around.
+
+    `ends`: "wall at point", one spacing from the first and the last value; "wall between", half
+    of one; or "periodic".
+    """
     table = np.diag(np.full(count, -2.0)) + np.eye(count, k=1) + np.eye(count, k=-1)
-    if half:
+    if ends == "wall between":
         table[0, 0] = table[-1, -1] = -3.0
+    if ends == "periodic":
+        table[0, -1] += 1
+        table[-1, 0] += 1
     return table / h**2
 
 
-def _inner(count):
-    """Selects the inner ones of `count` nodes."""
-    return np.diag(np.r_[0.0, np.ones(count - 2), 0.0])
+def _inner(lines, periodic):
+    """Selects of the grid lines in one direction those that are not on walls."""
+    return np.eye(lines) if periodic else np.diag(np.r_[0.0, np.ones(lines - 2), 0.0])
 
 
-def _nodes(count, h):
-    table = np.zeros((count, count))
-    table[1:-1, 1:-1] = _second_difference(count - 2, h, half=False)
+def _nodes(lines, h, periodic):
+    if periodic:
+        return second_difference(lines, h, "periodic")
+    table = np.zeros((lines, lines))
+    table[1:-1, 1:-1] = second_difference(lines - 2, h, "wall at point")
     return table
+
+
+def _between(count, h, periodic):
+    return second_difference(count, h, "periodic" if periodic else "wall between")
+
+
+def _lines(grid):
+    """Grid lines across x and across y."""
+    return grid.u_index.shape[1], grid.v_index.shape[0]
 
 
 def inner_faces(grid):
     """Which faces, in natural order, are not on the walls."""
-    m, n = grid.m, grid.n
-    u = np.kron(np.ones(n), np.diag(_inner(m + 1)))
-    v = np.kron(np.diag(_inner(n + 1)), np.ones(m))
+    (lines_x, lines_y), (px, py) = _lines(grid), grid.periodic
+    u = np.kron(np.ones(grid.n), np.diag(_inner(lines_x, px)))
+    v = np.kron(np.diag(_inner(lines_y, py)), np.ones(grid.m))
     return np.concatenate((u, v)) > 0
 
 
 def laplacian(grid):
     """Laplacian of the velocity with walls at rest; wall faces empty."""
     m, n, dx, dy = grid.m, grid.n, grid.dx, grid.dy
-    u = np.kron(np.eye(n), _nodes(m + 1, dx))
-    u += np.kron(_second_difference(n, dy, half=True), _inner(m + 1))
-    v = np.kron(_nodes(n + 1, dy), np.eye(m))
-    v += np.kron(_inner(n + 1), _second_difference(m, dx, half=True))
+    (lines_x, lines_y), (px, py) = _lines(grid), grid.periodic
+    u = np.kron(np.eye(n), _nodes(lines_x, dx, px))
+    u += np.kron(_between(n, dy, py), _inner(lines_x, px))
+    v = np.kron(_nodes(lines_y, dy, py), np.eye(m))
+    v += np.kron(_inner(lines_y, py), _between(m, dx, px))
     zero = np.zeros((len(u), len(v)))
     return np.block([[u, zero], [zero.T, v]])
 
@@ -110,11 +129,16 @@ def laplacian_of_flow(grid, flow, values):
 
 def divergence(grid):
     """Divergence from all faces to cells."""
-    def forward(count, h):
-        return (np.eye(count, count + 1, k=1) - np.eye(count, count + 1)) / h
+    def forward(count, h, periodic):
+        table = np.eye(count, count + 1, k=1) - np.eye(count, count + 1)
+        if periodic:
+            table[:, 0] += table[:, -1]
+            table = table[:, :-1]
+        return table / h
 
-    return np.hstack((np.kron(np.eye(grid.n), forward(grid.m, grid.dx)),
-                      np.kron(forward(grid.n, grid.dy), np.eye(grid.m))))
+    px, py = grid.periodic
+    return np.hstack((np.kron(np.eye(grid.n), forward(grid.m, grid.dx, px)),
+                      np.kron(forward(grid.n, grid.dy, py), np.eye(grid.m))))
 
 
 def gradient(grid):

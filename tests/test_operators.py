@@ -6,7 +6,7 @@ import pytest
 from petscib.fluid import flows
 from petscib.fluid.grid import Grid
 from petscib.fluid.operators import Operators
-from petscib.fluid.walls import Walls
+from petscib.fluid.sides import Sides
 
 DOMAIN = (-1.0, 2.0, 0.5, 1.5)
 RATE = 1.7
@@ -32,12 +32,12 @@ def with_smooth_flow(monkeypatch):
 
 def make(cells, flow="rest", domain=DOMAIN):
     grid = Grid(cells, domain)
-    return grid, Operators(grid, Walls(grid, flow, RATE))
+    return grid, Operators(grid, Sides(grid, flow, RATE))
 
 
 def filled(grid, operators):
     vector = grid.velocity_vector()
-    operators.walls.fill(vector)
+    operators.sides.fill(vector)
     return vector
 
 
@@ -174,7 +174,7 @@ def test_gradient_norm_is_a_sum_over_links(flow):
     values[inner] += np.random.default_rng(2).standard_normal(inner.sum())
     dense.set_velocity(grid, vector, values)
     u, v = grid.velocity_blocks(vector)
-    tangential = operators.walls.tangential
+    tangential = operators.sides.tangential
     total = (np.diff(u, axis=1)**2).sum() / grid.dx**2 + (np.diff(v, axis=0)**2).sum() / grid.dy**2
     total += ((np.diff(u, axis=0)[:, 1:-1]**2).sum() / grid.dy**2
               + (np.diff(v, axis=1)[1:-1]**2).sum() / grid.dx**2)

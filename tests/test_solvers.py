@@ -7,8 +7,8 @@ from petsc4py import PETSc
 from petscib.errors import SolveError
 from petscib.fluid.grid import Grid
 from petscib.fluid.operators import Operators
-from petscib.fluid.walls import Walls
-from petscib.membranes import geometry
+from petscib.fluid.sides import Sides
+from petscib.membrane import geometry
 from petscib.schemes import create
 from petscib.solvers import krylov
 from petscib.solvers.momentum import MomentumSolver
@@ -167,7 +167,7 @@ def test_failed_momentum_solve_raises_on_every_rank(ranks):
 class PoissonCase:
     def __init__(self):
         self.grid = Grid((17, 14), (-1.5, 1.5, -1, 1))
-        self.operators = Operators(self.grid, Walls(self.grid))
+        self.operators = Operators(self.grid, Sides(self.grid))
         self.source, self.solution = self.grid.pressure_vector(), self.grid.pressure_vector()
         random = np.random.default_rng(2)
         self.values = random.standard_normal(self.grid.p_index.shape) + 3.0
@@ -225,7 +225,7 @@ def test_poisson_iterations_hardly_grow_with_the_grid(ranks):
         x, y = grid.p_points(grid.p_box)
         grid.set_pressure(source, np.sin(7 * x) * np.cos(5 * y) + x * y)
         with dense.petsc_options(poisson_ksp_rtol=1e-8):
-            solver = PoissonSolver(Operators(grid, Walls(grid)))
+            solver = PoissonSolver(Operators(grid, Sides(grid)))
             counts.append(solver.solve(source, solution))
             solver.destroy()
     assert max(counts) <= 25

@@ -1,165 +1,34 @@
-"""The direct solver of the fluid's coupled system, and the coupled solver that is built on it."""
+"""The coupled solver that is built on the direct solver of the fluid's coupled system."""
 import dense
 import numpy as np
 import pytest
 from petsc4py import PETSc
 from test_solvers import assert_close
-from test_transforms import CASES, MU, RHO, round_off
 
 from petscib.errors import InputError
 from petscib.fluid.grid import Grid
 from petscib.fluid.operators import Operators
-from petscib.fluid.walls import Walls
-from petscib.membranes import geometry
-from petscib.solvers import krylov
-from petscib.solvers.momentum import FluidMatrix
-from petscib.solvers.pair import FluidPair, PairLayout
+from petscib.fluid.sides import Sides
+from petscib.membrane import geometry
 from petscib.solvers.saddle import CoupledSolver, ForceMethod
-from petscib.solvers.stokes import StokesTransform
+from petscib.solvers.transform_pcs import StokesTransform
 
 TRANSFORM = {
     "coupled_pc_type": "python",
-    "coupled_pc_python_type": "petscib.solvers.stokes.StokesTransform",
+    "coupled_pc_python_type": "petscib.solvers.transform_pcs.StokesTransform",
 }
 INTERVAL = 0.02
 
 
-class Stokes:
-    """The coupled system of the fluid alone and its preconditioner, made as options make it."""
-
-    def __init__(self, cells, box, **layout):
-        with dense.petsc_options(**layout):
-            self.grid = Grid(cells, box)
-        operators = Operators(self.grid, Walls(self.grid))
-        self.fluid = FluidMatrix(operators, RHO, MU)
-        self.pair = FluidPair(operators, self.fluid, PairLayout(self.grid))
-        self.operator = krylov.Operator(self.pair.layout.vector)
-        self.operator.matrix.setAttr("pair", self.pair)
-        self.pc = PETSc.PC().create(self.grid.comm)
-        self.pc.setOperators(self.operator.matrix)
-        self.pc.setType("python")
-        self.pc.setPythonType("petscib.solvers.stokes.StokesTransform")
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.pc.destroy()
-
-    def update(self, interval):
-        self.fluid.update(interval)
-        self.operator.act_as(self.pair)
-        self.pc.setUp()
-
-    @property
-    def context(self):
-        return self.pc.getPythonContext()
-
-    def random(self, seed):
-        """A pair vector whose sources sum to zero, the same on any ranks."""
-        layout, grid = self.pair.layout, self.grid
-        pair, velocity, pressure = layout.joint()
-        random = np.random.default_rng(seed)
-        dense.set_velocity(
-            grid, velocity, random.standard_normal(len(dense.velocity_numbers(grid))))
-        values = random.standard_normal(grid.p_index.shape)
-        grid.set_pressure(pressure, (values - values.mean())[grid.p_box])
-        return pair
-
-    def inverse(self, x):
-        y = x.duplicate()
-        y.set(np.nan)  # every entry must be set
-        self.pc.apply(x, y)
-        return y
-
-    def defect(self, x, y):
-        """Norm of x - K0 y, relative to that of x."""
-        result = x.duplicate()
-        self.pair.mult(y, result)
-        result.aypx(-1.0, x)
-        return result.norm() / x.norm()
-
-
-@pytest.mark.parallel([1, 2, 3])
-@pytest.mark.parametrize("case", CASES, ids=lambda case: "x".join(map(str, case[0])))
-def test_exact_at_every_time_step(case):
-    with Stokes(*case) as stokes:
-        x = stokes.random(1)
-        for interval in (1e-5, 0.01, 1.0, 1e3):
-            stokes.update(interval)
-            y = stokes.inverse(x)
-            assert stokes.defect(x, y) < round_off(stokes.fluid.matrix, x, y)
-
-
-@pytest.mark.parallel([4])
-@pytest.mark.parametrize("ranks_x", [1, 2, 4])
-def test_any_share_of_the_grid(ranks_x):
-    layout = dict(stag_ranks_x=ranks_x, stag_ranks_y=4 // ranks_x)
-    with Stokes((19, 23), (-1.0, 2.0, 0.5, 1.5), **layout) as stokes:
-        assert stokes.grid.dm.getProcSizes() == (ranks_x, 4 // ranks_x)
-        stokes.update(0.01)
-        x = stokes.random(1)
-        assert stokes.defect(x, stokes.inverse(x)) < 1e-12
-
-
-@pytest.mark.parallel([1, 2])
-def test_symmetric(ranks):
-    with Stokes((20, 15), (-1.0, 1.0, -1.0, 1.0)) as stokes:
-        stokes.update(0.01)
-        x, y = stokes.random(1), stokes.random(2)
-        px, py = stokes.inverse(x), stokes.inverse(y)
-        assert abs(x.dot(py) - y.dot(px)) < 1e-12 * x.norm() * py.norm()
-
-
-CELLS, BOX = (24, 21), (-1.5, 1.5, -1.0, 1.0)
-# Rows and columns of cells: narrow in either direction, at each wall, one line wide, all.
-PLACES = [(4, 17, 9, 12), (8, 11, 2, 22), (0, 5, 0, 3), (17, 21, 20, 24), (3, 9, 5, 6),
-          (0, 21, 0, 24)]
-
-
-@pytest.mark.parallel([1, 2, 3])
-@pytest.mark.parametrize("place", PLACES)
-def test_window_answer_is_that_of_the_whole_box(place):
-    top, bottom, left, right = place
-    u = np.mgrid[top:bottom, max(left, 1) : min(right + 1, CELLS[0])].reshape(2, -1)[:, ::2]
-    v = np.mgrid[max(top, 1) : min(bottom + 1, CELLS[1]), left:right].reshape(2, -1)[:, ::2]
-    with Stokes(CELLS, BOX) as stokes:
-        grid = stokes.grid
-        numbers = np.concatenate((grid.u_index[tuple(u)], grid.v_index[tuple(v)]))
-        values = np.random.default_rng(3).standard_normal(len(numbers))
-        here = slice(None) if grid.comm.rank == 0 else slice(0)
-        window = None
-        for interval in (1e-4, 10.0):
-            stokes.update(interval)
-            force, velocity = grid.velocity_vector(), grid.velocity_vector()
-            if grid.comm.rank == 0:
-                force.setValues(numbers, values)
-            force.assemble()
-            stokes.context.respond(force, velocity)
-            natural = dense.velocity(grid, velocity)
-            expected = natural[np.argsort(dense.velocity_numbers(grid))][numbers]
-            if window is None:
-                faces = [tuple(u[:, here]), tuple(v[:, here])]
-                window = stokes.context.window(faces)  # and it follows the time step
-            window.vector.getArray()[:] = values[here]
-            window.solve()
-            difference = np.abs(window.vector.getArray() - expected[here])
-            assert difference.max(initial=0.0) <= 1e-12 * np.abs(expected).max()
-        window.destroy()
-
-
 def test_wrong_matrix_is_named():
-    grid = Grid(CELLS, BOX)
+    grid = Grid((24, 21), (-1.5, 1.5, -1.0, 1.0))
     pc = PETSc.PC().create(grid.comm)
-    pc.setOperators(Operators(grid, Walls(grid)).laplacian)
+    pc.setOperators(Operators(grid, Sides(grid)).laplacian)
     pc.setType("python")
     pc.setPythonContext(StokesTransform())
     with pytest.raises(InputError, match="StokesTransform for the coupled system"):
         pc.setUp()
     pc.destroy()
-
-
-# ---------------------------------------------------------------- with a membrane
 
 
 class Case:

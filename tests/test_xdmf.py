@@ -46,7 +46,7 @@ print(json.dumps(frames))
 @pytest.mark.parametrize("flow", ["shear", "extensional", "poiseuille"])
 def test_cell_fields_of_background_flows(tmp_path, flow):
     simulation = prepare(tmp_path, flow=flow, shear_rate="2", **BOX)
-    grid, walls = simulation.problem.grid, simulation.problem.operators.walls
+    grid, walls = simulation.problem.grid, simulation.problem.operators.sides
     velocity, vorticity = cell_fields(grid, walls, simulation.state.velocity)
     x, y = grid.p_points(grid.p_box)
     u, v = walls._at(x, y)
@@ -72,7 +72,7 @@ def test_vorticity_of_a_vortex(tmp_path):
     u = -y * bump(x, y)
     x, y = grid.v_points(grid.v_box)
     grid.set_velocity(state.velocity, u, x * bump(x, y))
-    _, vorticity = cell_fields(grid, simulation.problem.operators.walls, state.velocity)
+    _, vorticity = cell_fields(grid, simulation.problem.operators.sides, state.velocity)
     x, y = grid.p_points(grid.p_box)
     exact = (2 - 8 * (x**2 + y**2)) * bump(x, y)
     inner = (abs(x) < 0.9) & (y > -0.9)

@@ -22,7 +22,8 @@ class Stencil:
         Of the markers, from the corner of the box, in cells.
     u, v : (rows, columns, weights)
         Integer arrays of shapes (M, r, 1) and (M, 1, c), and weights (M, r, c), of the x-faces
-        and of the y-faces.
+        and of the y-faces.  Where the box is periodic they are counted from 0 again, wherever the
+        marker has gone.
     """
 
     def __init__(self, grid, kernel, markers):
@@ -32,8 +33,13 @@ class Stencil:
         self.positions = np.stack((x, y), axis=1)
         along = (kernel.along, kernel.along_radius)
         across = (kernel.across, kernel.across_radius)
-        self.u = self._product(self._line(y - 0.5, *across), self._line(x, *along))
-        self.v = self._product(self._line(y, *along), self._line(x - 0.5, *across))
+        wraps_x, wraps_y = (
+            cells if wraps else None for cells, wraps in zip((grid.m, grid.n), grid.periodic)
+        )
+        self.u = self._product(
+            self._line(y - 0.5, *across, wraps_y), self._line(x, *along, wraps_x))
+        self.v = self._product(
+            self._line(y, *along, wraps_y), self._line(x - 0.5, *across, wraps_x))
 
     def select(self, markers):
         """The stencil of some markers, given by their numbers."""
@@ -43,11 +49,12 @@ class Stencil:
         return part
 
     @staticmethod
-    def _line(position, weight, radius):
+    def _line(position, weight, radius, period):
         """Grid lines within `radius` of each position: indices and weights (M, 2 radius)."""
         first = np.ceil(position - radius).astype(PETSc.IntType)
         lines = first[:, None] + np.arange(round(2 * radius), dtype=PETSc.IntType)
-        return lines, weight(lines - position[:, None])
+        weights = weight(lines - position[:, None])
+        return lines if period is None else lines % period, weights
 
     @staticmethod
     def _product(vertical, horizontal):

@@ -19,6 +19,8 @@ class Grid:
         The box (a, b, c, d): a <= x <= b, c <= y <= d.
     comm : MPI communicator, optional
         Default PETSC_COMM_WORLD.
+    periodic : (bool, bool)
+        Whether left and right sides are the same, and bottom and top ones.
 
     Attributes
     ----------
@@ -28,8 +30,8 @@ class Grid:
         The same layout with faces only and with cells only.
     dx, dy : float
         Cell sizes.
-    u_index : ndarray of int, shape (n, m + 1)
-    v_index : ndarray of int, shape (n + 1, m)
+    u_index : ndarray of int, shape (n, m + 1), or (n, m) when periodic in x
+    v_index : ndarray of int, shape (n + 1, m), or (n, m) when periodic in y
     p_index : ndarray of int, shape (n, m)
         PETSc number, in vectors of `velocity_dm` or `pressure_dm`, of each unknown in natural
         order.  Held by every rank.
@@ -37,17 +39,19 @@ class Grid:
         Rows and columns of the natural arrays that this rank owns.
     """
 
-    def __init__(self, cells, domain, comm=None):
+    def __init__(self, cells, domain, comm=None, periodic=(False, False)):
         self.comm = comm or PETSc.COMM_WORLD
         self.m, self.n = (int(c) for c in cells)
         self.domain = tuple(float(x) for x in domain)
         a, b, c, d = self.domain
         self.dx, self.dy = (b - a) / self.m, (d - c) / self.n
+        self.periodic = tuple(bool(direction) for direction in periodic)
+        kind = PETSc.DM.BoundaryType
         self.dm = PETSc.DMStag().create(
             2,
             dofs=(0, 1, 1),
             sizes=(self.m, self.n),
-            boundary_types=(PETSc.DM.BoundaryType.NONE,) * 2,
+            boundary_types=[kind.PERIODIC if wraps else kind.NONE for wraps in self.periodic],
             stencil_type=PETSc.DMStag.StencilType.BOX,
             stencil_width=1,
             comm=self.comm,
@@ -64,6 +68,15 @@ class Grid:
         """Area dx dy of a cell: the weight of a grid point in the discrete inner product."""
         return self.dx * self.dy
 
+    @property
+    def _lines_x(self):
+        """Grid lines across x: the last is the first again where the box is periodic."""
+        return self.m + (not self.periodic[0])
+
+    @property
+    def _lines_y(self):
+        return self.n + (not self.periodic[1])
+
     def _number(self):
         (x0, y0), (nx, ny), (extra_x, extra_y) = self.dm.getCorners()
         rows, columns = slice(y0, y0 + ny), slice(x0, x0 + nx)
@@ -71,8 +84,9 @@ class Grid:
         self.u_box = (rows, slice(x0, x0 + nx + extra_x))
         self.v_box = (slice(y0, y0 + ny + extra_y), columns)
         where = PETSc.DMStag.StencilLocation
-        self.u_index = self._table(self.velocity_dm, where.LEFT, self.u_box, (self.n, self.m + 1))
-        self.v_index = self._table(self.velocity_dm, where.DOWN, self.v_box, (self.n + 1, self.m))
+        shape_u, shape_v = (self.n, self._lines_x), (self._lines_y, self.m)
+        self.u_index = self._table(self.velocity_dm, where.LEFT, self.u_box, shape_u)
+        self.v_index = self._table(self.velocity_dm, where.DOWN, self.v_box, shape_v)
         self.p_index = self._table(self.pressure_dm, where.ELEMENT, self.p_box, (self.n, self.m))
 
     def _table(self, dm, location, box, shape):
@@ -98,7 +112,7 @@ class Grid:
     def u_points(self, box=(slice(None), slice(None))):
         """Coordinates x (1, columns) and y (rows, 1) of the x-faces in `box`."""
         a, _, c, _ = self.domain
-        x = a + np.arange(self.m + 1) * self.dx
+        x = a + np.arange(self._lines_x) * self.dx
         y = c + (np.arange(self.n) + 0.5) * self.dy
         return x[None, box[1]], y[box[0], None]
 
@@ -106,7 +120,7 @@ class Grid:
         """Coordinates x (1, columns) and y (rows, 1) of the y-faces in `box`."""
         a, _, c, _ = self.domain
         x = a + (np.arange(self.m) + 0.5) * self.dx
-        y = c + np.arange(self.n + 1) * self.dy
+        y = c + np.arange(self._lines_y) * self.dy
         return x[None, box[1]], y[box[0], None]
 
     def p_points(self, box=(slice(None), slice(None))):

@@ -1,11 +1,14 @@
 """Assembled difference operators on the staggered grid.
 
 Faces on the walls carry Dirichlet data: their rows and columns in the Laplacian are empty and the
-gradient is zero there, so that the equations of a wall face read "keep the given value".
+gradient is zero there, so that the equations of a wall face read "keep the given value".  Across
+periodic sides the stencils go on.
 """
 
 import numpy as np
 from petsc4py import PETSc
+
+from .sides import WALLS
 
 
 def assemble(comm, shape, columns, values):
@@ -36,18 +39,30 @@ def assemble(comm, shape, columns, values):
     return matrix
 
 
-def _shifted(table, box, row, column):
-    """Entries of `table` over `box` moved by (row, column); -1 outside the table."""
-    padded = np.pad(table, 1, constant_values=-1)
-    rows, columns = box
-    return padded[
-        rows.start + 1 + row : rows.stop + 1 + row,
-        columns.start + 1 + column : columns.stop + 1 + column,
-    ]
+def _shifted(table, box, row, column, periodic=(False, False)):
+    """Entries of `table` over `box` moved by (row, column).
+
+    Beyond a periodic side (flags in x and y) they are those within the other; beyond walls, -1.
+    """
+    rows, columns = (
+        np.arange(part.start, part.stop) + shift for part, shift in zip(box, (row, column))
+    )
+    inside = []
+    for axis, places in enumerate((rows, columns)):
+        size = table.shape[axis]
+        inside.append(np.full(len(places), True) if periodic[1 - axis]
+                      else (places >= 0) & (places < size))
+        places %= size
+    return np.where(np.logical_and.outer(*inside), table[np.ix_(rows, columns)], -1)
 
 
 class Operators:
     """Laplacian, gradient, divergence and the walls' contributions.  Collective.
+
+    Parameters
+    ----------
+    grid : Grid
+    sides : Sides
 
     Attributes
     ----------
@@ -60,8 +75,8 @@ class Operators:
         From faces to cells, wall faces included.  On the other faces it is minus the transpose
         of the gradient.
     pressure_laplacian : PETSc.Mat
-        divergence times gradient, with the constants as its null space.  Made when first asked
-        for, negated (positive semidefinite) for use with conjugate gradients.
+        Minus divergence times gradient, positive semidefinite for use with conjugate gradients,
+        with the constants as its null space.
     wall_source : PETSc.Vec or None
         What the walls' velocities add to the Laplacian; None when the walls are at rest.
     wall_flux : PETSc.Vec or None
@@ -73,9 +88,9 @@ class Operators:
         Sum of the squared velocities on wall faces; half of each lies outside the box.
     """
 
-    def __init__(self, grid, walls):
+    def __init__(self, grid, sides):
         self.grid = grid
-        self.walls = walls
+        self.sides = sides
         self._faces = grid.velocity_vector()
         self._cells = grid.pressure_vector()
         self._find_wall_faces()
@@ -84,17 +99,19 @@ class Operators:
         self.divergence = self._assemble_divergence()
         self.pressure_laplacian = self._assemble_pressure_laplacian()
         self.wall_source, self.wall_flux, self.wall_norm, self.wall_faces = None, None, 0.0, 0.0
-        if walls.moving:
+        if sides.moving:
             self._assemble_wall_terms()
 
     def _find_wall_faces(self):
         grid = self.grid
-        u_inner = np.ones(grid.u_index.shape, dtype=bool)
-        u_inner[:, [0, -1]] = False
-        v_inner = np.ones(grid.v_index.shape, dtype=bool)
-        v_inner[[0, -1], :] = False
-        self.u_unknown = np.where(u_inner, grid.u_index, -1)
-        self.v_unknown = np.where(v_inner, grid.v_index, -1)
+        self.u_unknown, self.v_unknown = grid.u_index.copy(), grid.v_index.copy()
+        if not grid.periodic[0]:
+            self.u_unknown[:, [0, -1]] = -1
+        if not grid.periodic[1]:
+            self.v_unknown[[0, -1], :] = -1
+
+    def _neighbours(self, table, box, row, column):
+        return _shifted(table, box, row, column, self.grid.periodic)
 
     def _shape(self, rows, columns):
         return (rows.getSizes(), columns.getSizes())
@@ -110,15 +127,17 @@ class Operators:
             (self.v_unknown, grid.v_index, grid.v_box, rx, 1),
         )
         for unknown, index, box, half, axis in components:
-            here = _shifted(unknown, box, 0, 0)
+            here = unknown[box]
             neighbours = [
-                _shifted(unknown, box, *shift) for shift in ((0, -1), (0, 1), (-1, 0), (1, 0))
+                self._neighbours(unknown, box, *shift)
+                for shift in ((0, -1), (0, 1), (-1, 0), (1, 0))
             ]
             diagonal = np.full(here.shape, -2 * (rx + ry))
-            # A wall half a cell away: the ghost value 2 u_wall - u_inside adds to the diagonal.
-            across = np.arange(index.shape[axis])[box[axis]]
-            count = (across == 0).astype(float) + (across == index.shape[axis] - 1)
-            diagonal -= half * (count[:, None] if axis == 0 else count[None, :])
+            if not grid.periodic[1 - axis]:
+                # A wall half a cell away: the ghost value 2 u_wall - u_inside adds to the diagonal.
+                across = np.arange(index.shape[axis])[box[axis]]
+                count = (across == 0).astype(float) + (across == index.shape[axis] - 1)
+                diagonal -= half * (count[:, None] if axis == 0 else count[None, :])
             weights = (rx, rx, ry, ry)
             row = grid.local_positions(index, box, self._faces)
             inner = here >= 0
@@ -144,21 +163,18 @@ class Operators:
         for unknown, index, box, back, spacing in components:
             inner = unknown[box] >= 0
             row = grid.local_positions(index, box, self._faces)[inner]
-            columns[row, 0] = _shifted(grid.p_index, box, *back)[inner]
-            columns[row, 1] = _shifted(grid.p_index, box, 0, 0)[inner]
+            columns[row, 0] = self._neighbours(grid.p_index, box, *back)[inner]
+            columns[row, 1] = self._neighbours(grid.p_index, box, 0, 0)[inner]
             values[row] = (-1 / spacing, 1 / spacing)
         return assemble(grid.comm, self._shape(self._faces, self._cells), columns, values)
 
     def _assemble_divergence(self):
         grid = self.grid
-        rows, cols = grid.p_box
-        east = (rows, slice(cols.start + 1, cols.stop + 1))
-        north = (slice(rows.start + 1, rows.stop + 1), cols)
         faces = (
             grid.u_index[grid.p_box],
-            grid.u_index[east],
+            self._neighbours(grid.u_index, grid.p_box, 0, 1),
             grid.v_index[grid.p_box],
-            grid.v_index[north],
+            self._neighbours(grid.v_index, grid.p_box, 1, 0),
         )
         weights = (-1 / grid.dx, 1 / grid.dx, -1 / grid.dy, 1 / grid.dy)
         row = grid.local_positions(grid.p_index, grid.p_box, self._cells)
@@ -178,7 +194,7 @@ class Operators:
         columns[row, 0] = grid.p_index[grid.p_box]
         shifts = (((0, -1), rx), ((0, 1), rx), ((-1, 0), ry), ((1, 0), ry))
         for slot, (shift, weight) in enumerate(shifts, start=1):
-            columns[row, slot] = _shifted(grid.p_index, grid.p_box, *shift)
+            columns[row, slot] = self._neighbours(grid.p_index, grid.p_box, *shift)
             values[:, slot] = -weight
         values[:, 0] = -np.where(columns[:, 1:] >= 0, values[:, 1:], 0.0).sum(axis=1)
         matrix = assemble(grid.comm, self._shape(self._cells, self._cells), columns, values)
@@ -187,40 +203,24 @@ class Operators:
         return matrix
 
     def _assemble_wall_terms(self):
-        grid, walls = self.grid, self.walls
-        rx, ry = 1 / grid.dx**2, 1 / grid.dy**2
-        normal, tangential = walls.normal, walls.tangential
-        u = np.zeros(grid.u_index.shape)
-        v = np.zeros(grid.v_index.shape)
-        u[:, 1] += rx * normal["left"]
-        u[:, -2] += rx * normal["right"]
-        u[0, 1:-1] += 2 * ry * tangential["bottom"][1:-1]
-        u[-1, 1:-1] += 2 * ry * tangential["top"][1:-1]
-        v[1, :] += ry * normal["bottom"]
-        v[-2, :] += ry * normal["top"]
-        v[1:-1, 0] += 2 * rx * tangential["left"][1:-1]
-        v[1:-1, -1] += 2 * rx * tangential["right"][1:-1]
+        grid, sides = self.grid, self.sides
+        u, v = np.zeros(grid.u_index.shape), np.zeros(grid.v_index.shape)
+        flux = np.zeros(grid.p_index.shape)
+        # For each direction: its own component, the other one, cells and spacing, lines first.
+        views = (u.T, v.T, flux.T, grid.dx), (v, u, flux, grid.dy)
+        for side, normal in sides.normal.items():
+            direction, end = WALLS[side]
+            across, along, cells, spacing = views[direction]
+            # The places along the wall that are not on another wall.
+            inner = slice(None) if grid.periodic[1 - direction] else slice(1, -1)
+            tangential = sides.tangential[side][inner]
+            across[1 if end == 0 else -2] += normal / spacing**2
+            along[end, inner] += 2 / spacing**2 * tangential
+            cells[end] += (-1 if end == 0 else 1) * normal / spacing
+            self.wall_norm += (np.sum(normal**2) + 2 * np.sum(tangential**2)) / spacing**2
+            self.wall_faces += np.sum(normal**2)
         self.wall_source = grid.velocity_vector()
         grid.set_velocity(self.wall_source, u[grid.u_box], v[grid.v_box])
-        self.wall_norm = sum(
-            weight * np.sum(values**2)
-            for weight, values in (
-                (rx, normal["left"]),
-                (rx, normal["right"]),
-                (ry, normal["bottom"]),
-                (ry, normal["top"]),
-                (2 * rx, tangential["left"][1:-1]),
-                (2 * rx, tangential["right"][1:-1]),
-                (2 * ry, tangential["bottom"][1:-1]),
-                (2 * ry, tangential["top"][1:-1]),
-            )
-        )
-        self.wall_faces = sum(np.sum(values**2) for values in normal.values())
         if self.wall_faces:
-            flux = np.zeros(grid.p_index.shape)
-            flux[:, 0] -= normal["left"] / grid.dx
-            flux[:, -1] += normal["right"] / grid.dx
-            flux[0, :] -= normal["bottom"] / grid.dy
-            flux[-1, :] += normal["top"] / grid.dy
             self.wall_flux = grid.pressure_vector()
             grid.set_pressure(self.wall_flux, flux[grid.p_box])

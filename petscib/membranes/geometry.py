@@ -7,40 +7,9 @@ functions are NumPy only, not collective, and accept M = 0 (a rank without marke
 import numpy as np
 
 
-def to_half_points(values, ds):
-    """Central difference from markers to half points: (q_k - q_{k-1}) / ds."""
-    return (values - np.roll(values, 1, axis=0)) / ds
-
-
-def to_markers(values, ds):
-    """Central difference from half points to markers: (q_{k+1/2} - q_{k-1/2}) / ds."""
-    return (np.roll(values, -1, axis=0) - values) / ds
-
-
-def second_difference(values, ds):
-    """D_s D_s q at the markers."""
-    return to_markers(to_half_points(values, ds), ds)
-
-
 def length(vectors):
     """Euclidean length of each row of an (M, 2) array."""
     return np.hypot(vectors[:, 0], vectors[:, 1])
-
-
-def stretching(markers, ds):
-    """Stretching |X_s| at the half points."""
-    return length(to_half_points(markers, ds))
-
-
-def unit_tangent(markers, ds):
-    """Unit tangent tau at the half points, shape (M, 2)."""
-    edges = to_half_points(markers, ds)
-    return edges / length(edges)[:, None]
-
-
-def surface_divergence(velocity, tangent, ds):
-    """Rate of stretching D_s U . tau at the half points (Hu & Lai, eq. 3.2)."""
-    return np.einsum("ki,ki->k", to_half_points(velocity, ds), tangent)
 
 
 def _edge_products(markers):

@@ -31,15 +31,20 @@ class Membranes:
         self.rows = {
             law.name: slice(end - len(law.columns), end) for law, end in zip(laws, ends)
         }
-        columns = [law.columns for law in laws]
-        widths = np.concatenate(
-            [[0]] + [np.full(len(part), part.shape[1]) for part in columns]
-        )
-        self._starts = np.cumsum(widths).astype(np.int32)
-        self._columns = np.concatenate(
-            [np.empty(0, np.int32)] + [part.ravel().astype(np.int32) for part in columns]
-        )
-        self._shape = (len(widths) - 1, 2 * len(curves.ds))
+        widths = [np.full(len(law.columns), law.columns.shape[1]) for law in laws]
+        self._starts = np.cumsum(np.concatenate([[0], *widths]), dtype=np.int32)
+        # Sorted, as sparse products may sort the columns that all the matrices share.
+        orders = [np.argsort(law.columns, axis=1) for law in laws]
+        self._columns = self._flat([law.columns for law in laws], orders).astype(np.int32)
+        self._orders = orders
+        self._shape = (len(self._starts) - 1, 2 * len(curves.ds))
+
+    @staticmethod
+    def _flat(parts, orders):
+        """Entries of some laws' rows, one after the other, in another order in each row."""
+        return np.concatenate([np.empty(0)] + [
+            np.take_along_axis(part, order, axis=1).ravel() for part, order in zip(parts, orders)
+        ])
 
     @property
     def stress_count(self):
@@ -65,10 +70,8 @@ class Membranes:
 
         Along the way between two configurations, C (after - before) is the change of the stress.
         """
-        values = [law.weights(before, after).ravel() for law in self.laws]
-        return csr_matrix(
-            (np.concatenate([np.empty(0), *values]), self._columns, self._starts), self._shape
-        )
+        values = self._flat([law.weights(before, after) for law in self.laws], self._orders)
+        return csr_matrix((values, self._columns, self._starts), self._shape)
 
     def energies(self, stress):
         """Energy of each law, by name."""

@@ -146,17 +146,17 @@ def save(path, problem, state, settings, progress):
         *_velocity("fluid", grid, state.velocity),
         _pressure("fluid", grid, state.pressure),
     ]
-    if problem.membrane is not None:
+    if problem.membranes is not None:
         count = comm.bcast(len(state.markers))
         attributes["/vesicle_0"] = {
-            "ds": problem.membrane.ds,
+            "ds": comm.bcast(problem.membranes.curves.ds[:1])[0],
             **{f"initial_{name}": value for name, value in progress.reference.items()},
         }
         length, ratio = {"unit": "length"}, {"unit": "1", "location": "half points k - 1/2"}
         datasets += [
             Dataset("vesicle_0/X", state.markers, (count, 2), location="markers k", **length),
             Dataset("vesicle_0/stretch", state.stretch, (count,), **ratio),
-            Dataset("vesicle_0/rest_stretch", problem.membrane.rest_stretch, (count,), **ratio),
+            Dataset("vesicle_0/rest_stretch", problem.membranes.rest_stretch, (count,), **ratio),
         ]
     for name, value in state.history.items():
         datasets += _history(f"history/{name}", grid, comm, value)

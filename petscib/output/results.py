@@ -83,8 +83,8 @@ class Results:
                 os.replace(copy, copy[: -len(files.PART)])
         step = header.step if header else None
         self.diagnostics = self._table("diagnostics.csv", COLUMNS, step)
-        if self.problem.membrane is not None:
-            columns = tables.outline_columns(len(self.problem.membrane.rest_stretch))
+        if self.problem.membranes is not None:
+            columns = tables.outline_columns(len(self.problem.membranes.rest_stretch))
             self.outlines = self._table("outlines.csv", columns, step)
 
     def _table(self, name, columns, step):

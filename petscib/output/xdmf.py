@@ -125,7 +125,7 @@ class Series:
         """
         problem, grid = self.problem, self.problem.grid
         name = f"fields-{state.step:08d}.h5"
-        velocity, vorticity = cell_fields(grid, problem.operators.walls, state.velocity)
+        velocity, vorticity = cell_fields(grid, problem.operators.sides, state.velocity)
         pressure = grid.pressure_block(state.pressure)
         shape, box = grid.p_index.shape, grid.p_box
         a, b, c, d = grid.domain
@@ -139,11 +139,12 @@ class Series:
             _real("fluid/pressure", pressure, shape, box),
             _real("fluid/vorticity", vorticity, shape, box),
         ]
-        if problem.membrane is not None:
+        if problem.membranes is not None:
             self.markers = count = self.comm.bcast(len(state.markers))
             edges = np.arange(count, dtype=np.int32)[self._mine]
             edges = np.stack(((edges - 1) % count, edges), axis=1)
-            tension = problem.membrane.tension(state.stretch)
+            law = problem.membranes.law("tension")
+            tension = law.tension(state.stretch) if law else np.zeros_like(state.stretch)
             datasets += [
                 _real("vesicle_0/X", state.markers, (count, 2)),
                 files.Dataset("vesicle_0/edges", edges, (count, 2)),

@@ -5,6 +5,9 @@ from dataclasses import dataclass
 from ..solvers.momentum import Momentum
 from ..solvers.poisson import PoissonSolver
 from ..solvers.stokes import Stokes
+from ..solvers.transforms.helmholtz import HelmholtzTransform
+from ..solvers.transforms.poisson import PoissonTransform
+from ..solvers.transforms.stokes import StokesTransform
 from .coupled import Coupled
 from .explicit import Explicit
 from .geometric import Geometric
@@ -49,14 +52,10 @@ class Solvers:
 
     def momentum(self):
         """Of the momentum system."""
-        from ..solvers.transforms import HelmholtzTransform
-
         return self._fluid(Momentum, lambda: HelmholtzTransform(self.problem.grid))
 
     def stokes(self):
         """Of velocity and pressure together."""
-        from ..solvers.transforms import StokesTransform
-
         problem = self.problem
         return self._fluid(Stokes, lambda: StokesTransform(problem.grid, problem.operators))
 
@@ -66,8 +65,6 @@ class Solvers:
 
     def poisson(self):
         """Of the pressure's Poisson problem."""
-        from ..solvers.transforms import PoissonTransform
-
         transform = PoissonTransform(self.problem.grid) if self.fft else None
         return PoissonSolver(self.problem.operators, transform=transform)
 

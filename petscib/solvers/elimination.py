@@ -16,7 +16,7 @@ from . import krylov
 from .cholesky import Cholesky
 from .direct import direct_defaults
 from .literal import LiteralPC, assembled
-from .model import stress_block
+from .model import StressMatrix
 
 
 class StressBlock:
@@ -30,12 +30,13 @@ class StressBlock:
 
     def __init__(self, prefix):
         self.direct = Cholesky(prefix)
+        self._stress = StressMatrix()
 
     def update(self, interval, operators):
         """Factor, where there is a correction; else B is a multiple of one."""
         self.interval, self._diagonal = interval, operators.slip is None
         if not self._diagonal and operators.rates.shape[0]:
-            block = triu(stress_block(interval, operators), format="csr")
+            block = triu(self._stress.matrix(interval, operators), format="csr")
             block.sort_indices()
             self.direct.factor(block)
 

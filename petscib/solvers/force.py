@@ -20,6 +20,11 @@ from .model import MarkerModel
 
 MARGIN = 1  # cells around the faces that the markers see, for them to move in
 
+# The error is measured by the power that the forces of the first guess exert.  Where that turns out
+# to have been so many times too large, the solve goes on.
+MUCH_LESS, MOST_ATTEMPTS = 0.1, 3
+ROUND_OFF = 1e-14
+
 # Less accurate solves would be little cheaper, and show in the energy law; and many iterations are
 # cheap too, where a membrane that nearly touches itself needs them.
 DEFAULTS = {"ksp_type": "cg", "ksp_rtol": 1e-7, "ksp_max_it": 1000, "pc_type": "python"}
@@ -38,14 +43,18 @@ class Near:
     def __init__(self, fluid, stencil):
         grid = fluid.grid
         self._tables, faces, numbers, first = [], [], [], 0
-        for (rows, columns, _), index in zip((stencil.u, stencil.v), (grid.u_index, grid.v_index)):
-            around = np.arange(-MARGIN, MARGIN + 1)
-            tall = (rows[:, :, 0, None] + around).reshape(len(rows), -1, 1)
-            wide = (columns[:, 0, :, None] + around).reshape(len(columns), 1, -1)
+        # Direction across which each component's faces may lie on walls: x of u, y of v.
+        for normal, (rows, columns, _), index in zip(
+            (1, 0), (stencil.u, stencil.v), (grid.u_index, grid.v_index)
+        ):
+            lines = (rows[:, :1] - MARGIN + np.arange(rows.shape[1] + 2 * MARGIN)[:, None],
+                     columns[:, :, :1] - MARGIN + np.arange(columns.shape[2] + 2 * MARGIN))
             table = np.full(index.shape, -1, dtype=np.int32)
-            if len(rows):
-                inside = np.clip(tall, 0, index.shape[0] - 1), np.clip(wide, 0, index.shape[1] - 1)
-                table[inside] = 0
+            table[tuple(
+                part % count if periodic else np.clip(part, on_wall, count - 1 - on_wall)
+                for part, count, periodic, on_wall in zip(
+                    lines, index.shape, grid.periodic[::-1], (normal == 0, normal == 1))
+            )] = 0
             found = np.nonzero(table == 0)
             table[found] = np.arange(first, first + len(found[0]))
             first += len(found[0])
@@ -65,8 +74,10 @@ class Near:
     def interpolation(self, stencil):
         """J on these faces as a scipy matrix, or None where a marker sees others."""
         starts, columns, values = stencil.csr(*self._tables)
-        if len(columns) and columns.min() < 0:
+        unknown = columns < 0
+        if values[unknown].any():
             return None
+        columns[unknown] = 0  # with the weight zero, on walls just out of reach
         return csr_matrix((values, columns, starts), (2 * len(stencil.u[2]), self.count))
 
     def gather(self, velocity):
@@ -109,10 +120,11 @@ class Force:
         self._near = self._interval = None
         self._base = fluid.grid.velocity_vector()
         self._load = krylov.vector_on_root(membranes.stress_count, fluid.grid.comm)
-        self._stress = self._load.duplicate()
-        self._operator = krylov.Operator(self._stress, self)
+        self._change = self._load.duplicate()
+        self._operator = krylov.Operator(self._change, self)
         self.ksp = krylov.create(self._operator.matrix, fluid.prefix, DEFAULTS)
         krylov.use_python(self.ksp, self)
+        self.ksp.setInitialGuessNonzero(False)
 
     @property
     def rtol(self):
@@ -172,14 +184,34 @@ class Force:
 
     def iterate(self, rtol):
         """Solve for the stresses.  Returns the iterations."""
+        operators, stress = self.operators, self.stage.stress
         carried = self._carry(self._free_velocity)
-        self._load.getArray()[:] = self._free + self.operators.rate(carried)
-        self._stress.getArray()[:] = self.stage.stress
-        with krylov.tolerances(self.ksp, rtol):
-            iterations = krylov.solve(
-                self.ksp, self._load, self._stress, self.fluid.name, krylov.advice(self.ksp))
-        self.stage.stress = self._stress.getArray(readonly=True).copy()
+        load = self._free + operators.rate(carried)
+        rtol = self.rtol if rtol is None else rtol
+        iterations = 0
+        for _ in range(MOST_ATTEMPTS):
+            force = operators.force(stress)
+            moved = self._moved_by(force)
+            self._load.getArray()[:] = load - stress / self.interval + operators.rate(moved)
+            power, least = self._share(
+                np.sqrt(abs(np.sum(force * moved))),
+                ROUND_OFF * np.sqrt(abs(load @ self.model.solve(load))),
+            )
+            with krylov.tolerances(self.ksp, 0.0, max(rtol * power, least)):
+                iterations += krylov.solve(
+                    self.ksp, self._load, self._change, self.fluid.name, krylov.advice(self.ksp))
+            stress = stress + self._change.getArray(readonly=True)
+            # f . (U - Pi J w_b) of the solution, with f . U = - m . C U
+            work = -(stress @ (stress / self.interval - self._free)) - np.sum(
+                operators.force(stress) * carried)
+            if self._share(np.sqrt(max(work, 0.0)))[0] >= MUCH_LESS * power:
+                break
+        self.stage.stress = stress
         return iterations
+
+    def _share(self, *values):
+        """Numbers of the first rank, on all.  Collective."""
+        return self.fluid.grid.comm.tompi4py().bcast(values)
 
     def marker_velocity(self):
         """U for the stresses of the last solution."""
@@ -206,5 +238,5 @@ class Force:
         if self._near:
             self._near.destroy()
         self.model.destroy()
-        for part in (self.ksp, self._operator, self._load, self._stress, self._base):
+        for part in (self.ksp, self._operator, self._load, self._change, self._base):
             part.destroy()

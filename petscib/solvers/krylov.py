@@ -127,15 +127,14 @@ def advice(ksp):
 
 
 @contextmanager
-def tolerances(ksp, rtol):
-    """Solve with another relative tolerance inside the block, if it is not None."""
-    usual = ksp.getTolerances()[0]
-    if rtol is not None:
-        ksp.setTolerances(rtol=rtol)
+def tolerances(ksp, rtol=None, atol=None):
+    """Solve with other tolerances inside the block, those that are not None."""
+    usual = ksp.getTolerances()
+    ksp.setTolerances(rtol=rtol, atol=atol)
     try:
         yield
     finally:
-        ksp.setTolerances(rtol=usual)
+        ksp.setTolerances(rtol=usual[0], atol=usual[1])
 
 
 def solve(ksp, rhs, solution, what, advice):

@@ -31,6 +31,7 @@ from scipy.sparse import block_diag, bmat, csr_matrix, diags, hstack, identity, 
 from scipy.special import erfcx
 
 from .cholesky import Cholesky
+from .product import Product
 
 POLES = 3  # two need a third more iterations at dt = 16 h, four save none
 
@@ -103,6 +104,7 @@ class MarkerModel:
     def __init__(self, curves, grid, kernel, rho, mu, share, prefix):
         self.curves, self.rho, self.mu, self.share = curves, rho, mu, share
         self.direct = Cholesky(prefix)
+        self._stress, self._link = StressMatrix(), None
         self._order = self._interval = None
         h = np.sqrt(grid.dx * grid.dy)
         self._smoothing = np.sqrt(_variance(kernel)) * h
@@ -147,8 +149,10 @@ class MarkerModel:
             return
         if interval != self._interval:
             self._fit(interval)
-        stress = stress_block(interval, operators)
-        link = operators.rates @ self._phi
+        stress = self._stress.matrix(interval, operators)
+        if self._link is None:
+            self._link = Product(operators.rates, self._phi)
+        link = self._link.matrix(operators.rates.data, self._phi.data)
         if self._order is None:
             self._begin(stress, link)
         values = np.concatenate([stress.data, link.data, self._fixed])[self._order]
@@ -184,14 +188,37 @@ class MarkerModel:
         self.direct.destroy()
 
 
-def stress_block(interval, operators):
-    """The sparse matrix 1 / (theta dt) + C K C^T, on rank 0."""
-    rates, slip = operators.rates, operators.slip
-    diagonal = identity(rates.shape[0], format="csr") / interval
-    if slip is None:
-        return diagonal
-    root = np.sqrt(slip.mobility)[:, None] * slip.tangent
-    count = len(root)
-    columns = np.repeat(np.arange(count), 2)
-    along = rates @ csr_matrix((root.ravel(), (np.arange(2 * count), columns)), (2 * count, count))
-    return (along @ along.T + diagonal).tocsr()
+class StressMatrix:
+    """1 / (theta dt) + C K C^T, always with the same entries.  Not collective; on rank 0."""
+
+    def __init__(self):
+        self._along = self._square = None
+
+    def matrix(self, interval, operators):
+        """The sparse matrix for theta dt = `interval` and a configuration.
+
+        Parameters
+        ----------
+        interval : float
+        operators : MarkerOperators
+            With a `slip`.
+        """
+        rates, slip = operators.rates, operators.slip
+        count = len(slip.mobility)
+        if self._along is None:
+            columns = np.repeat(np.arange(count), 2)
+            self._root = csr_matrix(
+                (np.ones(2 * count), columns, np.arange(2 * count + 1)), (2 * count, count))
+            self._along = Product(rates, self._root)
+        # K is the square of this: along each marker's tangent.
+        root = (np.sqrt(slip.mobility)[:, None] * slip.tangent).ravel()
+        along = self._along.matrix(rates.data, root)
+        if self._square is None:
+            numbers = csr_matrix((np.arange(1.0, along.nnz + 1), along.indices, along.indptr),
+                                 along.shape).T.tocsr()
+            self._transposed = numbers.data.astype(int) - 1
+            self._square = Product(along, numbers)
+            self._diagonal = np.flatnonzero(self._square.rows == self._square.indices)
+        square = self._square.matrix(along.data, along.data[self._transposed])
+        square.data[self._diagonal] += 1 / interval
+        return square

@@ -24,14 +24,18 @@ class PoissonSolver:
         Options prefix.
     defaults : dict, optional
         In place of CG with GAMG.
+    transform : PoissonTransform, optional
+        Exact solver in place of an iteration.
     """
 
-    def __init__(self, operators, prefix="poisson_", defaults=DEFAULTS):
-        self.matrix = operators.pressure_laplacian
-        self.matrix.setAttr("grid", operators.grid)  # for PoissonTransform
-        self.null_space = self.matrix.getNullSpace()
-        self.ksp = krylov.create(self.matrix, prefix, defaults)
-        self._rhs = self.matrix.createVecLeft()
+    def __init__(self, operators, prefix="poisson_", defaults=DEFAULTS, transform=None):
+        self.transform = transform
+        self._rhs = operators.grid.pressure_vector()
+        self.ksp = None
+        if transform is None:
+            matrix = operators.pressure_laplacian
+            self.null_space = matrix.getNullSpace()
+            self.ksp = krylov.create(matrix, prefix, defaults)
 
     def solve(self, source, solution):
         """Solve for `solution` (first guess on entry).  Collective.
@@ -43,6 +47,9 @@ class PoissonSolver:
         """
         source.copy(self._rhs)
         self._rhs.scale(-1)  # the assembled matrix is minus the Laplacian
+        if self.transform is not None:
+            self.transform.solve(self._rhs, solution)
+            return 1
         self.null_space.remove(self._rhs)
         iterations = krylov.solve(
             self.ksp,
@@ -56,5 +63,6 @@ class PoissonSolver:
 
     def destroy(self):
         """Free the solver.  Collective."""
-        self.ksp.destroy()
-        self._rhs.destroy()
+        for part in (self.ksp, self.transform, self._rhs):
+            if part is not None:
+                part.destroy()

@@ -78,12 +78,8 @@ class Stokes(Momentum):
         y[1].scale(self.scale)
 
     def solve(self, rhs, velocity, pressure=None):
-        """Solve for velocity and pressure exactly, by transforms."""
-        if pressure is None:
-            pressure = self._excess
-        source = self.operators.wall_flux
-        self.transform.solve(rhs, source, velocity, pressure)
-        pressure.shift(-pressure.sum() / pressure.getSize())
+        """Solve for velocity and pressure, unless it is None, exactly by transforms."""
+        self.transform.solve(rhs, self.operators.wall_flux, velocity, pressure)
 
     def precondition(self, rhs, answer):
         """Set answer to about K0^{-1} rhs, lists of blocks."""

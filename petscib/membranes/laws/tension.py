@@ -44,3 +44,7 @@ class Tension:
     def tension(self, stretch):
         """Tension sigma at the half points."""
         return self.sigma0 * (stretch - self.rest)
+
+    def stretch_rate(self, stress_rate):
+        """Rate of stretching at the half points, from that of the stress."""
+        return stress_rate / self._root

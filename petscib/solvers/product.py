@@ -1,0 +1,37 @@
+"""Products of sparse matrices whose entries stay in place, whatever their values."""
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+
+class Product:
+    """The product of two sparse matrices, made again and again with other values.
+
+    A factorisation can be reused only where entries stay that happen to be zero, which scipy drops.
+
+    Parameters
+    ----------
+    first, second : csr_matrix
+        With the entries of all the factors to come, in their order.
+    """
+
+    def __init__(self, first, second):
+        rows = np.repeat(np.arange(first.shape[0]), np.diff(first.indptr))
+        counts = np.diff(second.indptr)[first.indices]
+        # Each entry of the first factor meets those in a row of the second.
+        self._first = np.repeat(np.arange(first.nnz), counts)
+        begins = np.repeat(np.cumsum(counts) - counts, counts)
+        self._second = (
+            np.repeat(second.indptr[first.indices], counts) + np.arange(len(begins)) - begins)
+        places = rows[self._first] * second.shape[1] + second.indices[self._second]
+        places, self._entry = np.unique(places, return_inverse=True)
+        self._entry = self._entry.ravel()
+        self.shape = first.shape[0], second.shape[1]
+        self.rows, self.indices = np.divmod(places, second.shape[1])
+        self.indptr = np.searchsorted(self.rows, np.arange(self.shape[0] + 1))
+
+    def matrix(self, first, second):
+        """The product for the values (`data`) of the factors."""
+        values = np.bincount(
+            self._entry, first[self._first] * second[self._second], len(self.indices))
+        return csr_matrix((values, self.indices, self.indptr), self.shape)
