@@ -12,12 +12,13 @@ PROJECTION = ("ep", "mbe", "mcn")  # the others solve for velocity and pressure 
 TIGHT = {f"{solver}_ksp_rtol": 1e-13 for solver in ("momentum", "poisson", "coupled")}
 
 
-def small_problem(stretch):
+def small_problem(stretch, corrected=False):
     """Ellipse in extensional flow on 12 x 10 cells; the fluid is disturbed without divergence."""
     problem, state = dense.problem(
         stag_grid_x=12, stag_grid_y=10, domain="-1.5,1.5,-1,1", flow="extensional",
         shear_rate=RATE, axes="0.5,0.33", angle=12, markers=14, rho=RHO, mu=MU, sigma0=SIGMA0,
-        bending=BENDING, rest_length=0.9, stretch=stretch)
+        bending=BENDING, rest_length=0.9, stretch=stretch, kink_correction=corrected,
+        conserve_area=corrected)
     grid = problem.grid
     stream = np.pad(0.03 * np.random.default_rng(1).standard_normal((grid.n - 1, grid.m - 1)), 1)
     disturbance = np.concatenate(((np.diff(stream, axis=0) / grid.dy).ravel(),
@@ -33,12 +34,12 @@ class PaperStep:
     """
 
     def __init__(self, problem, state):
-        self.grid, self.kernel, self.ds = problem.grid, problem.kernel, problem.membrane.ds
+        self.grid, self.kernel, self.ds = problem.grid, problem.kernel, problem.membranes.curves.ds[0]
         self.evolve = problem.evolve
         self.velocity = dense.velocity(self.grid, state.velocity)
         comm = self.grid.comm.tompi4py()
         self.markers, self.stretch = comm.bcast((state.markers, state.stretch))
-        self.rest = comm.bcast(problem.membrane.rest_stretch)
+        self.rest = comm.bcast(problem.membranes.rest_stretch)
         self.inner = dense.inner_faces(self.grid)
         self.gradient, self.divergence = dense.gradient(self.grid), dense.divergence(self.grid)
 
@@ -277,7 +278,7 @@ def test_poiseuille_flow_is_kept_to_second_order_in_space(scheme):
 
 
 def observed_orders(scheme, counts, end, controls=None, **values):
-    """Orders in X and u from three numbers of steps to the same time."""
+    """Mean orders in X and u from numbers of steps, each twice the last, to the same time."""
     answers = []
     for steps in counts:
         problem, state = dense.problem(**values)
@@ -288,8 +289,9 @@ def observed_orders(scheme, counts, end, controls=None, **values):
                 state = stepper.step(state, end / steps).end
             stepper.destroy()
         answers.append((state.markers, dense.velocity(problem.grid, state.velocity)))
-    return [np.log2(np.linalg.norm(coarse - middle) / np.linalg.norm(middle - fine))
-            for coarse, middle, fine in zip(*answers)]
+    differences = [[np.linalg.norm(fine - coarse) for coarse, fine in zip(found, found[1:])]
+                   for found in zip(*answers)]
+    return [np.log2(found[0] / found[-1]) / (len(counts) - 2) for found in differences]
 
 
 @pytest.mark.parametrize("scheme", ["mbe", "be", "gbe"])
@@ -300,11 +302,15 @@ def test_backward_euler_is_first_order_in_time(scheme):
 
 
 def test_gcn_is_second_order_in_time():
-    """A nearly inextensible vesicle in shear flow, from the incompatible start."""
-    orders = observed_orders("gcn", (20, 40, 80), 0.5, Controls(startup=1, picard_rtol=1e-11),
-                             stag_grid_x=24, axes="0.15,0.5", sigma0=1e5, flow="shear",
-                             shear_rate=2)
-    assert min(orders) >= 1.8
+    """A nearly inextensible vesicle in shear flow, from the incompatible start.
+
+    What is left of the start's oscillation dies faster than the square of the time step, but not
+    evenly; so the order of u is the mean of two.
+    """
+    order_x, order_u = observed_orders(
+        "gcn", (20, 40, 80, 160), 0.5, Controls(startup=1, picard_rtol=1e-11, fft=True),
+        stag_grid_x=24, axes="0.15,0.5", sigma0=1e5, flow="shear", shear_rate=2)
+    assert order_x >= 1.8 and order_u >= 1.8
 
 
 @pytest.mark.parametrize("scheme, largest", [("be", 2e-3), ("gbe", 1e-8), ("gcn", 1e-8)])

@@ -69,8 +69,7 @@ class Geometric(StageScheme):
                 # f = - C^T m,  m = m0 + theta dt C U,  U = J w + K f
                 with phase("coupled solve"):
                     system.update(self.theta * dt, operators, stress)
-                    rtol = max(INNER_FRACTION * change, least)
-                    iterations += system.iterate(rtol)
+                    iterations += system.iterate(max(INNER_FRACTION * change, least))
 
                 # X^{n+1} = X^n + dt U
                 motion = system.marker_velocity()

@@ -45,7 +45,8 @@ class Modified(ProjectionScheme):
                 carrier = velocity.copy()
                 carrier.axpby(1 - self.theta, self.theta, state.velocity)
             motion = operators.interpolate(carrier)
-            motion = motion + operators.slip_velocity(operators.force(stage.stress))
+            if problem.acted_on:
+                motion = motion + operators.slip_velocity(operators.force(stage.stress))
         return self.finish(
             state, dt, stage, operators, velocity, motion, **account,
             projection=phi, iterations=iterations,

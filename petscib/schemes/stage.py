@@ -47,7 +47,8 @@ class StageScheme:
         self.problem.fluid_rhs(state, self.theta * dt, self._rhs)
         stress = self.problem.stress(state)
         guess = state.history.get("stress", stress)
-        guess = guess + state.history.get("stress_change", 0.0)
+        if "stress_change" in state.history:
+            guess = guess + state.history["stress_change"]
         return Stage(self.problem.first_guess(state), state.pressure.copy(), guess)
 
     def end_velocity(self, state, stage):
@@ -79,7 +80,7 @@ class StageScheme:
         """
         problem = self.problem
         markers, stretch = state.markers, state.stretch
-        if problem.membranes is not None:
+        if operators is not None:
             with phase("marker motion"):
                 markers = problem.keep_areas(markers + dt * motion)
                 stretch = problem.next_stretch(state, dt, markers, rest.get("stress_rate"))

@@ -63,7 +63,7 @@ class Alone:
             matrix = self.fluid.matrix if self.fluid.symmetric else self._operator.matrix
             self.ksp.setOperators(self._operator.matrix, matrix)
 
-    def iterate(self, rtol):
+    def iterate(self, accuracy):
         """Solve.  Returns the iterations."""
         if not self.ksp:
             self.fluid.solve(self.rhs, self.stage.velocity, self.stage.pressure)
@@ -77,8 +77,8 @@ class Alone:
         return iterations
 
     def marker_velocity(self):
-        """U at markers that the fluid only carries."""
-        return self.operators.interpolate(self.stage.velocity)
+        """U at markers that the fluid only carries, or None without any."""
+        return self.operators and self.operators.interpolate(self.stage.velocity)
 
     def finish(self):
         """Nothing is left to do."""

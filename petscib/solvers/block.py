@@ -11,6 +11,9 @@ from . import krylov
 from .model import MarkerModel
 
 
+ROUND_OFF = 1e-14  # relative tolerance below which no residual gets
+
+
 class Block:
     """Block iteration.  Collective.
 
@@ -54,11 +57,12 @@ class Block:
             self.model.update(interval, operators)
         # Residuals of the stresses are weighted so that, like those of the fluid, they tell a
         # power: that of an error at its own place.
-        fluid_diagonal = fluid.rho / interval + 2 * fluid.mu * (1 / grid.dx**2 + 1 / grid.dy**2)
+        diagonal = fluid.rho / interval + 2 * fluid.mu * (1 / grid.dx**2 + 1 / grid.dy**2)
+        self._weight = np.sqrt(diagonal / grid.cell_area)
         mobility = np.mean(operators.slip.mobility) if len(self._free) else 0.0
         squares = operators.rates.multiply(operators.rates).sum(axis=1)
         diagonal = 1 / interval + mobility * np.asarray(squares).ravel()
-        self._weights = np.sqrt(fluid_diagonal / (grid.cell_area * diagonal))
+        self._weights = self._weight / np.sqrt(diagonal)
         self._operator.changed()
         self.ksp.setOperators(self._operator.matrix)
 
@@ -85,7 +89,7 @@ class Block:
         stress = self.model.solve(rate - stress_x.getArray(readonly=True) / self._weights)
         stress_y.getArray()[:] = stress
 
-    def iterate(self, rtol):
+    def iterate(self, accuracy):
         """Solve.  Returns the iterations."""
         fluid, stage, operators = self.fluid, self.stage, self.operators
         fluid.load(self._unknowns[:-1], stage.velocity, stage.pressure)
@@ -93,12 +97,22 @@ class Block:
         self.rhs.copy(self._rhs[0])
         fluid.set_source(self._rhs[:-1])
         self._rhs[-1].getArray()[:] = -self._weights * self._free
-        with krylov.tolerances(self.ksp, rtol):
+        with krylov.tolerances(self.ksp, *self._asked(accuracy)):
             iterations = krylov.solve(
                 self.ksp, self._load, self._solution, fluid.name, krylov.advice(self.ksp))
         fluid.store(self._unknowns[:-1], stage.velocity, stage.pressure)
         stage.stress = self._unknowns[-1].getArray(readonly=True).copy()
         return iterations
+
+    def _asked(self, accuracy):
+        """Relative and absolute tolerance of a solve.  Collective."""
+        if accuracy is None:
+            return None, None
+        # By the part of the forces' power that the slip takes up, which is known at once.
+        force = self.operators.force(self.stage.stress)
+        power = np.sum(force * self.operators.slip_velocity(force))
+        power = self.fluid.grid.comm.tompi4py().bcast(float(power))
+        return ROUND_OFF, accuracy * self._weight * np.sqrt(power)
 
     def marker_velocity(self):
         """U of the last solution."""

@@ -118,14 +118,14 @@ class Elimination:
         stress = self.block.solve(operators.rate(operators.interpolate(x[0])))
         operators.spread_add(-operators.force(stress), y[0])
 
-    def iterate(self, rtol):
+    def iterate(self, accuracy):
         """Solve.  Returns the iterations."""
         fluid, stage, operators = self.fluid, self.stage, self.operators
         fluid.load(self._unknowns, stage.velocity, stage.pressure)
         self.rhs.copy(self._rhs[0])
         fluid.set_source(self._rhs)
         operators.spread_add(operators.force(self.block.solve(self._free)), self._rhs[0])
-        with krylov.tolerances(self.ksp, rtol):
+        with krylov.tolerances(self.ksp, accuracy):
             iterations = krylov.solve(
                 self.ksp, self._load, self._solution, fluid.name, krylov.advice(self.ksp))
         fluid.store(self._unknowns, stage.velocity, stage.pressure)

@@ -27,7 +27,7 @@ ROUND_OFF = 1e-14
 
 # Less accurate solves would be little cheaper, and show in the energy law; and many iterations are
 # cheap too, where a membrane that nearly touches itself needs them.
-DEFAULTS = {"ksp_type": "cg", "ksp_rtol": 1e-7, "ksp_max_it": 1000, "pc_type": "python"}
+DEFAULTS = {"ksp_type": "cg", "ksp_rtol": 1e-8, "ksp_max_it": 1000, "pc_type": "python"}
 
 
 class Near:
@@ -146,6 +146,8 @@ class Force:
         self._place(operators.interpolation.stencil, changed)
         if self._free_velocity is None:
             self.fluid.solve(self.rhs, self._base)
+            area = self.fluid.grid.cell_area
+            self._free_power = np.sqrt(abs(area * self.rhs.dot(self._base)))
             self._free_velocity = self._near.gather(self._base)
         self._operator.changed()
         self.ksp.setOperators(self._operator.matrix)
@@ -182,29 +184,31 @@ class Force:
         """y = the model's inverse times x."""
         y.getArray()[:] = self.model.solve(x.getArray(readonly=True))
 
-    def iterate(self, rtol):
+    def iterate(self, accuracy):
         """Solve for the stresses.  Returns the iterations."""
         operators, stress = self.operators, self.stage.stress
         carried = self._carry(self._free_velocity)
         load = self._free + operators.rate(carried)
-        rtol = self.rtol if rtol is None else rtol
         iterations = 0
         for _ in range(MOST_ATTEMPTS):
             force = operators.force(stress)
             moved = self._moved_by(force)
             self._load.getArray()[:] = load - stress / self.interval + operators.rate(moved)
-            power, least = self._share(
-                np.sqrt(abs(np.sum(force * moved))),
-                ROUND_OFF * np.sqrt(abs(load @ self.model.solve(load))),
-            )
-            with krylov.tolerances(self.ksp, 0.0, max(rtol * power, least)):
+            loaded, exerted = self._share(
+                np.sqrt(abs(load @ self.model.solve(load))), np.sqrt(abs(np.sum(force * moved))))
+            if accuracy is None:
+                tolerance = self.rtol * np.hypot(loaded, self._free_power)
+            else:
+                tolerance = max(accuracy * exerted, ROUND_OFF * loaded)
+            with krylov.tolerances(self.ksp, 0.0, tolerance):
                 iterations += krylov.solve(
                     self.ksp, self._load, self._change, self.fluid.name, krylov.advice(self.ksp))
             stress = stress + self._change.getArray(readonly=True)
             # f . (U - Pi J w_b) of the solution, with f . U = - m . C U
             work = -(stress @ (stress / self.interval - self._free)) - np.sum(
                 operators.force(stress) * carried)
-            if self._share(np.sqrt(max(work, 0.0)))[0] >= MUCH_LESS * power:
+            if accuracy is None or self._share(
+                    np.sqrt(max(work, 0.0)))[0] >= MUCH_LESS * exerted:
                 break
         self.stage.stress = stress
         return iterations

@@ -21,8 +21,8 @@ symmetric, with A the momentum matrix or the coupled one.  Four iterations solve
 `alone`
     Without membrane forces.
 
-The relative tolerance means the same in all: of the power of the forces, as far as the
-preconditioner tells it.
+The relative tolerance means the same in all: the power of the error, as the preconditioner tells
+it, relative to that of the right-hand side.
 """
 
 from dataclasses import dataclass
@@ -64,7 +64,7 @@ class ImplicitSystem:
         system.begin(rhs, stage)
         for ...:
             system.update(interval, operators, stress)
-            iterations = system.iterate(rtol)
+            iterations = system.iterate(accuracy)
             ... = system.marker_velocity()
         system.finish()
 
@@ -123,20 +123,21 @@ class ImplicitSystem:
         """
         self._iteration.update(interval, operators, stress)
 
-    def iterate(self, rtol=None):
+    def iterate(self, accuracy=None):
         """Solve so far that the markers' motion holds.  Returns the iterations.
 
         Parameters
         ----------
-        rtol : float, optional
-            In place of the solver's relative tolerance.
+        accuracy : float, optional
+            In place of the solver's tolerance, which is relative to the power of the right-hand
+            side: one relative to the power of the membranes' forces alone, hence of their motion.
 
         Raises
         ------
         SolveError
             On all ranks.
         """
-        return self._iteration.iterate(rtol)
+        return self._iteration.iterate(accuracy)
 
     def marker_velocity(self):
         """U of the last `iterate`: (M, 2) on rank 0, (0, 2) elsewhere."""
