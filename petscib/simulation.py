@@ -27,7 +27,7 @@ ROUND_OFF = 1e-6  # of a time step: what is left of a run when it counts as fini
 
 def _use_transforms(settings):
     """Make fast direct solvers the default."""
-    from .solvers import transforms  # needs scipy, and says so
+    from .solvers import transforms
     from .solvers.stokes import StokesTransform
 
     fluid_alone = settings.scheme == "ep" or not (settings.sigma0 or settings.bending)

@@ -25,6 +25,9 @@ import time
 import pytest
 from hypothesis import settings
 
+from petscib import launch
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # for tests in this process; numpy is not there yet
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 TIMEOUT = 120.0
 JOB = os.environ.get("PETSCIB_TEST_JOB")  # set inside an MPI job: the folder of its results
@@ -41,20 +44,8 @@ settings.load_profile("petscib")
 
 
 def mpi_environment(**extra):
-    """Environment for MPI jobs, with the settings of ``.ci/setup`` where it was not used."""
-    environment = dict(os.environ)
-    defaults = {
-        "OMP_NUM_THREADS": "1",
-        "OMPI_MCA_rmaps_base_oversubscribe": "1",
-        "OMPI_MCA_hwloc_base_binding_policy": "none",
-        "OMPI_MCA_mpi_yield_when_idle": "1",
-        "OMPI_MCA_orte_execute_quiet": "1",
-        "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe",
-    }
-    if os.geteuid() == 0:
-        defaults.update(OMPI_ALLOW_RUN_AS_ROOT="1", OMPI_ALLOW_RUN_AS_ROOT_CONFIRM="1")
-    for name, value in defaults.items():
-        environment.setdefault(name, value)
+    """Environment for MPI jobs, in which this petscib is found."""
+    environment = launch.environment()
     search = [str(ROOT), *filter(None, [environment.get("PYTHONPATH")])]
     environment.update(PYTHONPATH=os.pathsep.join(search), **extra)
     return environment
@@ -62,8 +53,7 @@ def mpi_environment(**extra):
 
 def start(ranks, args, **keywords):
     """Start ``python *args`` on `ranks` ranks; the process leads a session of its own."""
-    launcher = shlex.split(os.environ.get("MPIEXEC", "mpiexec"))
-    command = [*launcher, "-n", str(ranks), sys.executable, *map(str, args)]
+    command = [*launch.launcher(), "-n", str(ranks), sys.executable, *map(str, args)]
     return subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True, **keywords)
 
 

@@ -215,21 +215,6 @@ def test_user_options_win(mpirun, tmp_path):
     assert int(rows(tmp_path)[-1]["poisson_iterations"]) > 1  # a single cycle would be no solve
 
 
-@pytest.mark.parametrize("ranks", [1, 2])
-def test_without_scipy(mpirun, tmp_path, ranks):
-    (tmp_path / "hide").mkdir()
-    (tmp_path / "hide" / "scipy.py").write_text("raise ImportError('hidden')\n")
-    code = ("import sys; sys.path.insert(0, 'hide'); sys.argv[0] = 'petscib';"
-            "from petscib.__main__ import main; sys.exit(main())")
-    (tmp_path / "start.py").write_text(code)
-    for extra in (["-fft"], BY_NAME):
-        result = mpirun(ranks, "start.py", *SHORT, *extra, check=False)
-        assert result.returncode == 2
-        lines = [line for line in result.stderr.splitlines() if line.startswith("petscib:")]
-        assert lines == ["petscib: the fast direct solvers (-fft) need scipy, which is missing"]
-        assert "Traceback" not in result.stderr
-
-
 def test_misspelt_name(mpirun):
     result = mpirun(1, "-m", "petscib", *SHORT, "-poisson_pc_type", "python",
                     "-poisson_pc_python_type", NAME + "Poisson", check=False)

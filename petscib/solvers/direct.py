@@ -1,0 +1,41 @@
+"""The direct factorisations that this PETSc has, by their names for ``-pc_factor_mat_solver_type``."""
+
+from petsc4py import PETSc
+
+from ..errors import InputError
+
+SERIAL = {"cholesky": "cholmod", "lu": "umfpack"}
+PARALLEL = "mumps", "superlu_dist"
+
+
+def serial(kind):
+    """Package for a sequential matrix.  Not collective.
+
+    Parameters
+    ----------
+    kind : {"cholesky", "lu"}
+    """
+    package = SERIAL[kind]
+    # Up to 3.18 all packages of SuiteSparse went by its name.
+    return package if _has(package) or _has("suitesparse") else "petsc"
+
+
+def parallel():
+    """Package for a matrix on several ranks, for Cholesky and LU.  Not collective.
+
+    Raises
+    ------
+    InputError
+        This PETSc has none; so on all ranks.
+    """
+    for package in PARALLEL:
+        if _has(package):
+            return package
+    raise InputError(
+        "this PETSc has no direct solver for several ranks, neither MUMPS nor SuperLU_DIST; "
+        "needed: one of them, or a run on one rank"
+    )
+
+
+def _has(package):
+    return PETSc.Sys.hasExternalPackage(package)
