@@ -23,18 +23,19 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 # Names under which a machine with several MPIs has their launchers.
 NAMES = "mpiexec", "mpiexec.openmpi", "mpiexec.mpich", "mpiexec.hydra", "mpirun", "orterun"
 # More ranks than cores are fine; two jobs at a time must not be bound to the same core; ranks that
-# wait give way to those that compute; our own message about what went wrong is enough.
-OPEN_MPI = {"OMPI_MCA_mpi_yield_when_idle": "1"}
-OPEN_MPI_4 = {
-    **OPEN_MPI,
-    "OMPI_MCA_rmaps_base_oversubscribe": "1",
-    "OMPI_MCA_hwloc_base_binding_policy": "none",
-    "OMPI_MCA_orte_execute_quiet": "1",
-}
-OPEN_MPI_5 = {
-    **OPEN_MPI,
-    "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe",
-    "PRTE_MCA_hwloc_default_binding_policy": "none",
+# wait give way to those that compute; our own message about what went wrong is enough (which
+# versions 5 and 6 cannot be told).  Each version warns of the names that the one before it had.
+_OPEN_MPI = {
+    4: {
+        "OMPI_MCA_rmaps_base_oversubscribe": "1",
+        "OMPI_MCA_hwloc_base_binding_policy": "none",
+        "OMPI_MCA_orte_execute_quiet": "1",
+    },
+    5: {
+        "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe",
+        "PRTE_MCA_hwloc_default_binding_policy": "none",
+    },
+    6: {"PRTE_MCA_mapby": ":oversubscribe", "PRTE_MCA_bindto": "none"},
 }
 _LIBRARY = ("import mpi4py; mpi4py.rc.initialize = False; from mpi4py import MPI; "
             "print(MPI.Get_library_version())")
@@ -101,9 +102,9 @@ def environment():
     """
     settings = {"OMP_NUM_THREADS": "1"}  # the ranks are the parallelism
     if _is_open_mpi(_library()):
-        # Newer versions warn of the older ones' names.
-        version = re.search(r"Open MPI v?(\d+)", _library())
-        settings.update(OPEN_MPI_4 if version and int(version[1]) < 5 else OPEN_MPI_5)
+        version = int(re.search(r"Open MPI v?(\d+)", _library())[1])
+        settings["OMPI_MCA_mpi_yield_when_idle"] = "1"
+        settings.update(_OPEN_MPI[min(max(version, 4), 6)])
         if os.geteuid() == 0:
             settings.update(OMPI_ALLOW_RUN_AS_ROOT="1", OMPI_ALLOW_RUN_AS_ROOT_CONFIRM="1")
     return {**settings, **os.environ}

@@ -16,6 +16,7 @@ the report names the ranks that had not finished.
 import json
 import os
 import pathlib
+import re
 import shlex
 import subprocess
 import sys
@@ -57,6 +58,22 @@ def start(ranks, args, **keywords):
     return subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True, **keywords)
 
 
+# What launchers say of their own accord: Open MPI's boxes and remarks, Hydra's banner.
+NOISE = re.compile("|".join((
+    r"^-{50,}\n(?:(?!-{50,}\n).*\n)*?(?!-{50,}\n).*"
+    r"(?:prterun|mpirun|mpiexec|MPI_ABORT|Deprecated variable|Primary job).*\n(?:.*\n)*?-{50,}\n",
+    r"^(?:\[\S+\] )?\d+ more process.* sent help message .*\n",
+    r"^(?:\[\S+\] )?Set .*(?:AGGREGATE_HELP|help_aggregate).*\n",
+    r"^\[.*\]\[\[.*btl_tcp_proc.*\n",
+    r"^=+\n= +BAD TERMINATION .*\n(?:=.*\n)+(?:YOUR APPLICATION .*\n)?(?:(?:This|Please) .*\n)*",
+)), re.M)
+
+
+def without_noise(text):
+    """What a job has printed, without what its launcher has."""
+    return NOISE.sub("", text)
+
+
 def stop(process):
     """End an MPI job. Asked nicely first, the launcher takes its ranks with it."""
     process.terminate()
@@ -72,7 +89,7 @@ def mpirun(tmp_path):
     """Run ``python *args`` under mpiexec in the test's temporary folder.
 
     ``mpirun(ranks, *args, timeout=120, check=True, env={})`` returns a `CompletedProcess` with text
-    in `stdout` and `stderr`. With `check` a non-zero exit status fails the test; running out of
+    in `stdout` and `stderr`, less what the launcher itself has said. With `check` a non-zero exit status fails the test; running out of
     time always does.
     """
 
@@ -89,8 +106,9 @@ def mpirun(tmp_path):
             finally:
                 if process.poll() is None:
                     stop(process)
-        result = subprocess.CompletedProcess(process.args, status, out.read_text(errors="replace"),
-                                             err.read_text(errors="replace"))
+        result = subprocess.CompletedProcess(
+            process.args, status,
+            *(without_noise(file.read_text(errors="replace")) for file in (out, err)))
         if status is None or (check and status != 0):
             end = f"no end after {timeout:g} s" if status is None else f"exit status {status}"
             pytest.fail(f"{shlex.join(process.args)}: {end}\n--- stdout\n{result.stdout}"
