@@ -76,7 +76,6 @@ def _is_open_mpi(version):
     return "Open MPI" in version or "OpenRTE" in version
 
 
-@lru_cache
 def _find_launcher():
     """Path of the launcher that belongs to mpi4py."""
     if not _library():
