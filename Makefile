@@ -1,7 +1,7 @@
 # .ci/setup installs what is missing and leaves the interpreter in $python.
 SETUP = set -e; root=$$PWD; . .ci/setup
 
-.PHONY: setup test run studies bench lint clean
+.PHONY: setup test run studies bench portability lint clean
 
 setup:
 	@needs="pytest hypothesis"; $(SETUP)
@@ -14,11 +14,15 @@ run:
 
 # make studies ARGS=-quick: half an hour instead of some four
 studies:
-	@needs="scipy matplotlib"; $(SETUP); "$$python" -m petscib.studies $(ARGS)
+	@needs="matplotlib"; $(SETUP); "$$python" -m petscib.studies $(ARGS)
 
 # make bench ARGS=-quick: a version of minutes, up to 128^2
 bench:
-	@needs="scipy matplotlib"; $(SETUP); "$$python" -m petscib.studies.bench $(ARGS)
+	@needs="matplotlib"; $(SETUP); "$$python" -m petscib.studies.bench $(ARGS)
+
+# make portability SUITE=trixie ARGS='make test': README's commands, or these, on a bare Debian
+portability:
+	@SUITE="$(SUITE)" .ci/portability $(ARGS)
 
 lint:
 	@needs="ruff"; $(SETUP); "$$python" -m ruff check

@@ -20,19 +20,25 @@ def main(arguments=None):
     """
     arguments = sys.argv[1:] if arguments is None else arguments
     asked = [word for word in arguments if word.lower() in ("-help", "--help", "-h")]
+    version = [word for word in arguments if word.lower() in ("-version", "--version")]
 
     import petsc4py
 
-    # PETSc would print its own help, rank by rank, before ours.
-    petsc4py.init([sys.argv[0], *(word for word in arguments if word not in asked)])
+    # PETSc would print its own help or version, rank by rank, before ours.
+    petsc4py.init([sys.argv[0], *(word for word in arguments if word not in asked + version)])
     from mpi4py import MPI
     from petsc4py import PETSc
 
-    from . import options, restart
+    from . import installation, options, restart
     from .errors import InputError, OutputError, SolveError
 
     root = MPI.COMM_WORLD.rank == 0
     try:
+        if version:
+            if root:
+                print(*(" ".join(item) for item in installation.versions().items()), sep="\n")
+            return 0
+        installation.check()
         database = PETSc.Options().getAll()
         information = options.information({**database, **dict.fromkeys(asked and ["help"], "")})
         if information is not None:
@@ -51,6 +57,10 @@ def main(arguments=None):
         traceback.print_exc()
         sys.stderr.flush()
         MPI.COMM_WORLD.Abort(1)
+    finally:
+        # At its end newer PETSc lists what nothing has read; the run has named that already.
+        if not PETSc.Options().hasName("options_left"):
+            PETSc.Options()["options_left"] = "no"
 
 
 def _simulate(settings, root):

@@ -66,7 +66,7 @@ def text_of(value):
         return ",".join(text_of(entry) for entry in value)
     if isinstance(value, float):
         short = re.sub(r"e([+-])0*", "e\\1", f"{value:g}").replace("e+", "e")
-        return short if float(short) == value else repr(value)
+        return short if float(short) == value else repr(float(value))  # numpy's say their type
     return str(value)
 
 

@@ -16,6 +16,7 @@ the report names the ranks that had not finished.
 import json
 import os
 import pathlib
+import re
 import shlex
 import subprocess
 import sys
@@ -25,6 +26,11 @@ import time
 import pytest
 from hypothesis import settings
 
+from petscib import launch
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # for tests in this process; numpy is not there yet
+# Open MPI 5 complains of networks that it will not need: all ranks are on this machine.
+os.environ.setdefault("OMPI_MCA_btl", "^tcp")
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 TIMEOUT = 120.0
 JOB = os.environ.get("PETSCIB_TEST_JOB")  # set inside an MPI job: the folder of its results
@@ -41,20 +47,8 @@ settings.load_profile("petscib")
 
 
 def mpi_environment(**extra):
-    """Environment for MPI jobs, with the settings of ``.ci/setup`` where it was not used."""
-    environment = dict(os.environ)
-    defaults = {
-        "OMP_NUM_THREADS": "1",
-        "OMPI_MCA_rmaps_base_oversubscribe": "1",
-        "OMPI_MCA_hwloc_base_binding_policy": "none",
-        "OMPI_MCA_mpi_yield_when_idle": "1",
-        "OMPI_MCA_orte_execute_quiet": "1",
-        "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe",
-    }
-    if os.geteuid() == 0:
-        defaults.update(OMPI_ALLOW_RUN_AS_ROOT="1", OMPI_ALLOW_RUN_AS_ROOT_CONFIRM="1")
-    for name, value in defaults.items():
-        environment.setdefault(name, value)
+    """Environment for MPI jobs, in which this petscib is found."""
+    environment = launch.environment()
     search = [str(ROOT), *filter(None, [environment.get("PYTHONPATH")])]
     environment.update(PYTHONPATH=os.pathsep.join(search), **extra)
     return environment
@@ -62,9 +56,23 @@ def mpi_environment(**extra):
 
 def start(ranks, args, **keywords):
     """Start ``python *args`` on `ranks` ranks; the process leads a session of its own."""
-    launcher = shlex.split(os.environ.get("MPIEXEC", "mpiexec"))
-    command = [*launcher, "-n", str(ranks), sys.executable, *map(str, args)]
+    command = [*launch.launcher(), "-n", str(ranks), sys.executable, *map(str, args)]
     return subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True, **keywords)
+
+
+# What launchers say of their own accord: Open MPI's boxes and remarks, Hydra's banner.
+NOISE = re.compile("|".join((
+    r"^-{50,}\n(?:(?!-{50,}\n).*\n)*?(?!-{50,}\n).*"
+    r"(?:prterun|mpirun|mpiexec|MPI_ABORT|Deprecated variable|Primary job).*\n(?:.*\n)*?-{50,}\n",
+    r"^(?:\[\S+\] )?\d+ more process.* sent help message .*\n",
+    r"^(?:\[\S+\] )?Set .*(?:AGGREGATE_HELP|help_aggregate).*\n",
+    r"^=+\n= +BAD TERMINATION .*\n(?:=.*\n)+(?:YOUR APPLICATION .*\n)?(?:(?:This|Please) .*\n)*",
+)), re.M)
+
+
+def without_noise(text):
+    """What a job has printed, without what its launcher has."""
+    return NOISE.sub("", text)
 
 
 def stop(process):
@@ -82,7 +90,7 @@ def mpirun(tmp_path):
     """Run ``python *args`` under mpiexec in the test's temporary folder.
 
     ``mpirun(ranks, *args, timeout=120, check=True, env={})`` returns a `CompletedProcess` with text
-    in `stdout` and `stderr`. With `check` a non-zero exit status fails the test; running out of
+    in `stdout` and `stderr`, less what the launcher itself has said. With `check` a non-zero exit status fails the test; running out of
     time always does.
     """
 
@@ -99,8 +107,9 @@ def mpirun(tmp_path):
             finally:
                 if process.poll() is None:
                     stop(process)
-        result = subprocess.CompletedProcess(process.args, status, out.read_text(errors="replace"),
-                                             err.read_text(errors="replace"))
+        result = subprocess.CompletedProcess(
+            process.args, status,
+            *(without_noise(file.read_text(errors="replace")) for file in (out, err)))
         if status is None or (check and status != 0):
             end = f"no end after {timeout:g} s" if status is None else f"exit status {status}"
             pytest.fail(f"{shlex.join(process.args)}: {end}\n--- stdout\n{result.stdout}"

@@ -148,16 +148,6 @@ def test_a_second_signal_ends_at_once(tmp_path):
     assert os.WTERMSIG(os.waitpid(child, 0)[1]) == signal.SIGINT
 
 
-def test_launcher_turns_ctrl_c_into_a_request(tmp_path):
-    script = ("import signal, sys, time; signal.signal(signal.SIGUSR1, lambda *a: sys.exit(0)); "
-              "print('ready', flush=True); time.sleep(30)")
-    process = subprocess.Popen([sys.executable, "-m", "petscib.launch", sys.executable, "-c",
-                                script], stdout=subprocess.PIPE, env=mpi_environment())
-    process.stdout.readline()
-    process.send_signal(signal.SIGINT)
-    assert process.wait(timeout=10) == 130
-
-
 # --- the disk
 
 SMALL_FILES = """

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import special
 
 from petscib.membranes import geometry, shapes
 
@@ -31,7 +32,6 @@ def same_axis(angle, expected):
 
 @pytest.mark.parametrize("axes", [(0.1, 0.5), (0.5, 0.1), (0.02, 0.5), (0.3, 0.3)])
 def test_ellipse_markers_are_equally_spaced_in_arclength(axes):
-    special = pytest.importorskip("scipy.special")
     rx, ry = axes
     count = 134
     markers = shapes.ellipse(axes, (0.1, 0.2), 0.0, count) - (0.1, 0.2)

@@ -7,6 +7,7 @@ import sys
 import time
 
 import pytest
+from conftest import mpi_environment
 
 CASES = '''
 import os, time
@@ -74,7 +75,7 @@ def report(tmp_path_factory):
     # behind Python's back, and take itself for a rank of this process's job.
     result = subprocess.run(
         [sys.executable, "-m", "pytest", "-rA", "-v", "-p", "no:cacheprovider", "test_cases.py"],
-        cwd=folder, env=dict(os.environ), stdout=subprocess.PIPE,
+        cwd=folder, env=mpi_environment(), stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT, text=True, timeout=100)
     assert time.monotonic() - begin < 60, result.stdout
     return result.stdout

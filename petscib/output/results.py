@@ -2,19 +2,16 @@
 
 import json
 import os
-import platform
 import resource
 import shutil
 import sys
 from contextlib import suppress
 
 import h5py
-import mpi4py
 import numpy as np
-import petsc4py
 from petsc4py import PETSc
 
-from .. import __version__
+from .. import installation
 from ..diagnostics import COLUMNS
 from ..errors import InputError
 from . import checkpoint, files, monitor, tables
@@ -185,15 +182,7 @@ class Results:
     def summarise(self, steps, seconds, phases, ended):
         """Write summary.json and return its content.  Raises OutputError on all ranks."""
         summary = {
-            "versions": {
-                "petscib": __version__,
-                "petsc": ".".join(map(str, PETSc.Sys.getVersion())),
-                "petsc4py": petsc4py.__version__,
-                "mpi4py": mpi4py.__version__,
-                "numpy": np.__version__,
-                "h5py": h5py.__version__,
-                "python": platform.python_version(),
-            },
+            "versions": installation.versions(),
             "ranks": self.comm.size,
             "options": self.settings.to_dict(),
             "petsc_options": PETSc.Options().getAll(),

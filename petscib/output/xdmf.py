@@ -167,7 +167,7 @@ class Series:
             grids["vesicles"] = self._vesicle
         for title, describe in grids.items():
             text = _HEAD.format(name=title) + "".join(
-                f'<Grid Name="{title}" GridType="Uniform">\n<Time Value="{moment!r}"/>\n'
+                f'<Grid Name="{title}" GridType="Uniform">\n<Time Value="{float(moment)!r}"/>\n'
                 f"{describe(frame)}</Grid>\n"
                 for frame, moment in self.frames
             )

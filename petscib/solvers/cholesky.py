@@ -4,8 +4,7 @@ import numpy as np
 from petsc4py import PETSc
 from scipy.sparse import triu
 
-from . import krylov
-from .direct import direct_defaults
+from . import direct, krylov
 
 # Stiff membranes make indefinite matrices, for which CHOLMOD has only its LDL^T.
 CHOLMOD_DEFAULTS = {"mat_cholmod_factor": "simplicial"}
@@ -33,7 +32,7 @@ class Cholesky:
         self.ksp = self._matrix = None
         krylov.set_defaults(
             prefix,
-            {"ksp_type": "preonly", **direct_defaults("cholesky", PETSc.COMM_SELF),
+            {"ksp_type": "preonly", **direct.defaults("cholesky", PETSc.COMM_SELF),
              **CHOLMOD_DEFAULTS},
         )
 

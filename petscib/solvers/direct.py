@@ -1,44 +1,62 @@
-"""Which direct solver this PETSc offers."""
+"""The direct factorisations that this PETSc has, by their names for ``-pc_factor_mat_solver_type``."""
 
 from petsc4py import PETSc
 
 from ..errors import InputError
 
-
+SERIAL = {"cholesky": "cholmod", "lu": "umfpack"}
+PARALLEL = "mumps", "superlu_dist"
 # Percent of workspace beyond MUMPS's estimate, which saddle points and long time steps exceed: 20
-# fail on 12 x 10 cells, 30 at sigma0 = 1e13.
+# fail on 12 x 10 cells, and at sigma0 = 1e13.
 MUMPS_DEFAULTS = {"mat_mumps_icntl_14": 100}
 
 
-def direct_defaults(kind, comm):
-    """Options that choose the best factorisation that this PETSc has.
+def serial(kind):
+    """Package for a sequential matrix.  Not collective.
 
     Parameters
     ----------
-    kind : str
-        "cholesky" or "lu".
-    comm : PETSc.Comm
-        Of the matrix.
+    kind : {"cholesky", "lu"}
+    """
+    package = SERIAL[kind]
+    # Up to 3.18 all packages of SuiteSparse went by its name.
+    return package if _has(package) or _has("suitesparse") else "petsc"
+
+
+def parallel():
+    """Package for a matrix on several ranks, for Cholesky and LU.  Not collective.
 
     Raises
     ------
     InputError
-        On several ranks, when there is no parallel one.
+        This PETSc has none; so on all ranks.
     """
-    def choose(package, **more):
-        return {"pc_type": kind, "pc_factor_mat_solver_type": package, **more}
-
-    if comm.size == 1 and kind == "cholesky" and any(
-        map(PETSc.Sys.hasExternalPackage, ("cholmod", "suitesparse"))  # by PETSc's version
-    ):
-        return choose("cholmod")
-    if PETSc.Sys.hasExternalPackage("mumps"):
-        return choose("mumps", **MUMPS_DEFAULTS)
-    if comm.size == 1:
-        return choose("petsc")
-    if kind == "lu" and PETSc.Sys.hasExternalPackage("superlu_dist"):
-        return choose("superlu_dist")
+    for package in PARALLEL:
+        if _has(package):
+            return package
     raise InputError(
-        "-kink_correction false: this PETSc has no parallel direct solver (MUMPS); allowed: one "
-        "rank, or -kink_correction true"
+        "this PETSc has no direct solver for several ranks, neither MUMPS nor SuperLU_DIST; "
+        "needed: one of them, or a run on one rank"
     )
+
+
+def _has(package):
+    return PETSc.Sys.hasExternalPackage(package)
+
+
+def defaults(kind, comm):
+    """Options that choose the best factorisation for a matrix on a communicator.
+
+    Parameters
+    ----------
+    kind : {"cholesky", "lu"}
+    comm : PETSc.Comm
+
+    Raises
+    ------
+    InputError
+        As `parallel`.
+    """
+    package = serial(kind) if comm.size == 1 else parallel()
+    more = MUMPS_DEFAULTS if package == "mumps" else {}
+    return {"pc_type": kind, "pc_factor_mat_solver_type": package, **more}

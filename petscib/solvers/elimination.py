@@ -12,9 +12,8 @@ preconditions; without it, only a factorisation of the whole assembled matrix do
 from scipy.sparse import triu
 
 from ..events import phase
-from . import krylov
+from . import direct, krylov
 from .cholesky import Cholesky
-from .direct import direct_defaults
 from .literal import LiteralPC, assembled
 from .model import StressMatrix
 
@@ -69,7 +68,7 @@ class Elimination:
         self._operator = krylov.Operator(self._solution, self)
         defaults = fluid.defaults
         if literal and fluid.symmetric:
-            defaults = {**defaults, **direct_defaults("cholesky", fluid.grid.comm)}
+            defaults = {**defaults, **direct.defaults("cholesky", fluid.grid.comm)}
         self.ksp = krylov.create(self._operator.matrix, fluid.prefix, defaults)
         self.ksp.getPC().setUseAmat(False)  # multigrid would otherwise smooth with the operator
         self._whole = None

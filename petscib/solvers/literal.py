@@ -8,8 +8,7 @@ paper's tables and for comparison.  The area projector, of low rank, is left to 
 import numpy as np
 from petsc4py import PETSc
 
-from . import krylov
-from .direct import direct_defaults
+from . import direct, krylov
 
 SMALL = 1e-9  # times the scale of the pressure's equations: two to three outer iterations
 
@@ -61,7 +60,7 @@ class LiteralPC:
     def __init__(self, fluid):
         prefix, comm = fluid.prefix + "direct_", fluid.grid.comm
         krylov.set_defaults(
-            prefix, {"ksp_type": "preonly", **direct_defaults("lu", comm)})
+            prefix, {"ksp_type": "preonly", **direct.defaults("lu", comm)})
         self.ksp = PETSc.KSP().create(comm=comm)
         self.ksp.setOptionsPrefix(prefix)
         self.ksp.setFromOptions()

@@ -16,7 +16,7 @@ from time import perf_counter
 
 import numpy as np
 
-from .. import __version__
+from .. import __version__, launch
 from ..output import tables
 from ..settings import text_of
 
@@ -144,14 +144,11 @@ def execute(run, folder):
     """Make the run, wait for it, and return its Outcome, which `recall` finds later."""
     shutil.rmtree(folder, ignore_errors=True)  # half a run would look like this one's
     os.makedirs(folder)
-    # Python's copy of the environment: an MPI library in this process may have added to C's, and
-    # an MPI job does not start inside another's.
-    environment = {"OMP_NUM_THREADS": "1", **os.environ}  # the ranks are the parallelism
+    environment = launch.environment()
     root = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
     search = [root, *filter(None, [environment.get("PYTHONPATH")])]
     environment["PYTHONPATH"] = os.pathsep.join(search)
-    launcher = shlex.split(os.environ.get("MPIEXEC") or "mpiexec")
-    command = [*launcher, "-n", str(run.ranks), sys.executable, *run.arguments(folder)]
+    command = [*launch.launcher(), "-n", str(run.ranks), sys.executable, *run.arguments(folder)]
     log = os.path.join(folder, "log.txt")
     began = perf_counter()
     # A file, not a pipe: a rank left behind would hold a pipe open.
