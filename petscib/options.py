@@ -214,7 +214,8 @@ _ROWS = (
     Option("markers", Whole(0, 10**7), 0, SHAPE, "markers, equally spaced in arclength; 0: by "
            "the grid", automatic="0: spacing h/2"),
     Option("marker_file", Path(), None, SHAPE, "closed curve to use instead of the ellipse: a "
-           "text file, x and y of one point a line", automatic="none"),
+           "text file, x and y of one point a line, also as IBAMR, IB2d and PetIBM write it",
+           automatic="none"),
 
     Option("sigma0", NOT_NEGATIVE, 1e5, MEMBRANE, "tension stiffness", "force"),
     Option("bending", NOT_NEGATIVE, 0.01, MEMBRANE, "bending rigidity", "force length^2"),
@@ -235,8 +236,9 @@ _ROWS = (
     Option("startup", Whole(0, 1000), None, TIME,
            "first steps taken as two backward Euler half steps",
            automatic="1 for cn and gcn, else 0"),
-    Option("ts_dt", POSITIVE, None, TIME, "time step; h = min(dx, dy)", "time",
-           automatic="the scene's multiple of h"),
+    Option("ts_dt", POSITIVE, None, TIME, "time step", "time",
+           automatic="the scene's multiple of min(dx, dy) / speed of flow or membrane, as "
+           "`-scene list` explains"),
     Option("ts_max_time", POSITIVE, 1.0, TIME, "end time", "time"),
     Option("ts_max_steps", Whole(), None, TIME, "most steps", automatic="no limit"),
     Option("ts_adapt", Flag(), False, TIME, "retry a failed step with half the time step, and "
@@ -333,7 +335,7 @@ def read(database):
     values.update(scene.settings, scene=scene.name)
     values.update(given)
     check_domain(values["domain"])
-    resolve(values, set(given), scene.dt_over_h)
+    resolve(values, set(given), scene.cfl)
     settings = Settings(values, given)
     for name in ("stag_grid_x", "stag_grid_y"):  # one of them may follow from the other
         value_of(TABLE[name], text_of(getattr(settings, name)))

@@ -24,15 +24,15 @@ class Scene:
         One line for ``-scene list``.
     settings : mapping of str to value
         Option name to typed value; every name must be in the option table.
-    dt_over_h : float
-        The time step when ``-ts_dt`` is not given, in units of h = min(dx, dy), so that refining
-        the grid refines the time step too.
+    cfl : float
+        The time step when ``-ts_dt`` is not given, in units of h / V: h = min(dx, dy), so that
+        refining the grid refines the time step too, and V the speed of `settings.typical_speed`.
     """
 
     name: str
     summary: str
     settings: Mapping[str, Any]
-    dt_over_h: float = 1.0
+    cfl: float = 1.0
 
 
 _SCENES = (
@@ -41,13 +41,13 @@ _SCENES = (
         "a thin vesicle turns its membrane in shear flow (Hu & Lai, section 4.3)",
         dict(flow="shear", shear_rate=1.0, axes=(0.1, 0.5), sigma0=1e5, bending=0.01,
              ts_max_time=10.0),
-        dt_over_h=0.25,
+        cfl=0.25,
     ),
     Scene(
         "relaxation",
         "an elliptical vesicle relaxes in fluid at rest (Hu & Lai, section 4.1)",
         dict(flow="rest", axes=(0.2, 0.5), sigma0=1e5, bending=0.01, ts_max_time=0.125),
-        dt_over_h=0.25,
+        cfl=0.25,
     ),
     Scene(
         "stiff",
@@ -59,7 +59,7 @@ _SCENES = (
         "a stretched elastic membrane contracts to a circle in fluid at rest",
         dict(flow="rest", axes=(0.3, 0.5), sigma0=10.0, bending=0.0, rest_length=0.5,
              ts_max_time=1.0),
-        dt_over_h=0.25,
+        cfl=0.25,
     ),
     Scene(
         "extension",
@@ -78,6 +78,7 @@ _SCENES = (
         "driven",
         "Poiseuille flow without a vesicle: a steady state, which the coupled schemes keep",
         dict(flow="poiseuille", shear_rate=1.0, vesicles=0, ts_max_time=1.0),
+        cfl=0.5,
     ),
 )
 
@@ -87,7 +88,12 @@ DEFAULT = _SCENES[0].name
 
 def listing():
     """The text of ``-scene list``: every scene with its settings as options, 100 columns."""
-    blocks = ["Scenes (-scene NAME); options given on the command line win over a scene's.\n"]
+    blocks = [
+        "Scenes (-scene NAME); options given on the command line win over a scene's.\n"
+        "In the time steps h is min(dx, dy), and V the top speed of the background flow in the box "
+        "or\nthat of a vesicle driven by its bending, whichever is more: with L half the shorter "
+        "side of the\nbox, the smaller of 100 bending / (mu L^2) and sqrt(1000 bending / "
+        "(rho L^3)). Where neither\nmoves, V = mu / (rho L).\n"]
     for scene in _SCENES:
         options = [f"-{name} {text_of(value)}" for name, value in scene.settings.items()]
         mark = " (default)" if scene.name == DEFAULT else ""
@@ -96,5 +102,5 @@ def listing():
                                 initial_indent="    ", subsequent_indent="    ",
                                 break_long_words=False, break_on_hyphens=False)
         blocks.append(f"{scene.name}{mark}: {scene.summary}\n" + wrapped.replace("\0", " ")
-                      + f"\n    time step, unless -ts_dt is given: {scene.dt_over_h:g} h\n")
+                      + f"\n    time step, unless -ts_dt is given: {scene.cfl:g} h / V\n")
     return "\n".join(blocks)

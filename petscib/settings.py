@@ -12,6 +12,7 @@ import numpy as np
 
 from petscib.coupling.kernels import KERNELS
 from petscib.errors import InputError
+from petscib.fluid.flows import FLOWS
 from petscib.membranes.shapes import ellipse_perimeter
 
 # The widest marker spacing, in cells. Prototypes were sound from 0.2 to 2 cells; wider and fluid
@@ -70,7 +71,38 @@ def text_of(value):
     return str(value)
 
 
-def resolve(values, given, dt_over_h):
+def typical_speed(values):
+    """The speed by which the default time step is chosen.
+
+    It is the top speed of the background flow in the box, or that of a vesicle driven by its
+    bending if that is more. With L half the shorter side of the box, the latter is
+    100 c_b / (mu L^2), as for a vesicle of the half width L / 10, or the smaller
+    sqrt(1000 c_b / (rho L^3)) where inertia holds it back. Where nothing moves, it is the speed
+    mu / (rho L) at which momentum spreads.
+
+    Parameters
+    ----------
+    values : mapping of str to value
+        Of the options.
+
+    Returns
+    -------
+    float
+        In the units of the options: a time step in proportion to h over this speed is the same
+        in all systems of units. Infinite or not a number if the values are beyond all measure.
+    """
+    a, b, c, d = values["domain"]
+    x, y = np.meshgrid((a, (a + b) / 2, b), (c, (c + d) / 2, d))
+    rho, mu = np.float64(values["rho"]), np.float64(values["mu"])
+    bending = values["bending"] if values["vesicles"] else 0.0
+    size = min(b - a, d - c) / 2
+    with np.errstate(all="ignore"):
+        flow = np.abs(FLOWS[values["flow"]](x, y, values["shear_rate"], values["domain"])).max()
+        membrane = min(100 * bending / (mu * size**2), np.sqrt(1000 * bending / (rho * size**3)))
+        return float(max(flow, membrane) or mu / (rho * size))
+
+
+def resolve(values, given, cfl):
     """Fill in the values that follow from others, in place.
 
     Parameters
@@ -79,8 +111,13 @@ def resolve(values, given, dt_over_h):
         Option name to typed value: table defaults, then the scene, then the user.
     given : set of str
         Names the user gave; none of these is changed.
-    dt_over_h : float
-        The scene's time step in units of h = min(dx, dy).
+    cfl : float
+        The scene's time step in units of min(dx, dy) / `typical_speed`.
+
+    Raises
+    ------
+    InputError
+        There is no time step for these values.
     """
     a, b, c, d = values["domain"]
     if values["stag_grid_y"] is None or given & {"stag_grid_x", "stag_grid_y"} == {"stag_grid_x"}:
@@ -90,7 +127,12 @@ def resolve(values, given, dt_over_h):
     derived = {}
     if values["ts_dt"] is None:
         cells = values["stag_grid_x"], values["stag_grid_y"]
-        derived["ts_dt"] = dt_over_h * min((b - a) / cells[0], (d - c) / cells[1])
+        speed = typical_speed(values)
+        dt = cfl * min((b - a) / cells[0], (d - c) / cells[1]) / speed if speed > 0 else 0.0
+        if not 0 < dt < np.inf:
+            raise InputError("-ts_dt: no default follows from a flow, fluid and membrane of such "
+                             "values; allowed: number above 0")
+        derived["ts_dt"] = dt
     if values["startup"] is None:
         derived["startup"] = int(values["scheme"] in ("cn", "gcn"))
     for name in ("kink_correction", "conserve_area"):

@@ -9,7 +9,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from . import energy, events, guard, schemes, solver_options
+from . import accuracy, energy, events, guard, schemes, solver_options
 from .diagnostics import Diagnostics
 from .errors import InputError, OutputError, SolveError
 from .events import phase, stage
@@ -62,7 +62,9 @@ class Simulation:
         self.progress = header.progress if header else Progress()
         self.progress.solver_options = asked
         with stage("set-up"), phase("set-up"):
-            self.problem, self.state = build_problem(settings, comm, header)
+            self.remarks = []
+            self.problem, self.state = build_problem(settings, comm, header, self.remarks)
+            self.warning = accuracy.of_flow(settings, self.state.markers)
             self.scheme = schemes.create(settings.scheme, self.problem, _controls(settings))
             self.diagnostics = Diagnostics(self.problem, self.progress.reference or None)
         reduced = header and self.progress.dt < header.options["ts_dt"]
@@ -133,6 +135,8 @@ class Simulation:
         first = self.first_step
         last = self.last_step if self.last_step < math.inf else None
         results.monitor.start(first, self.state.time, settings.ts_max_time, last)
+        for remark in filter(None, [*self.remarks, self.warning]):
+            results.say(f"petscib: {remark}")
         try:
             with stage("stepping"):
                 if settings.restart is None:  # else the row of the first state is there already
@@ -191,6 +195,7 @@ class Simulation:
             PETSc.garbage_cleanup()
         self.step_size.accept()
         self.state = step.end
+        self._warn_of_long_steps(step)
         if self._has_row(self.state):
             self._record(step)
         self._write_fields()
@@ -230,6 +235,13 @@ class Simulation:
             f"step {self.state.step + 1} from time {self.state.time:.6g} failed: {error}; "
             f"{self.scheme.advice}; {saved}"
         )
+
+    def _warn_of_long_steps(self, step):
+        """Say once when a step has carried the membrane too far; rank 0 has the markers."""
+        if not self.warning:
+            self.warning = accuracy.of_step(step.start.markers, step.end.markers, step.dt)
+            if self.warning:
+                self.results.say(f"petscib: {self.warning}")
 
     def _record(self, step):
         largest = self.progress.largest_energy

@@ -7,7 +7,8 @@ from .errors import InputError
 from .fluid.grid import Grid
 from .fluid.operators import Operators
 from .fluid.sides import Sides
-from .membranes import mobility, shapes
+from .membranes import curve_files, mobility, shapes
+from .membranes.crossings import find_crossing
 from .membranes.curves import Curves
 from .membranes.laws import Bending, Tension
 from .membranes.membranes import Membranes
@@ -16,7 +17,7 @@ from .problem import Problem, State
 from .settings import check_curve
 
 
-def build_problem(settings, comm, header=None):
+def build_problem(settings, comm, header=None, remarks=None):
     """Problem and first state.  Collective.
 
     Parameters
@@ -25,6 +26,8 @@ def build_problem(settings, comm, header=None):
     comm : PETSc.Comm
     header : checkpoint.Header, optional
         Of the file to continue from.
+    remarks : list of str, optional
+        Gets what the user should know; equal on all ranks.
 
     Raises
     ------
@@ -39,7 +42,7 @@ def build_problem(settings, comm, header=None):
             markers, stretch, rest = checkpoint.load_membrane(header, grid.comm.tompi4py())
             curves = _curves(markers, header.ds)
         else:
-            markers, ds = _markers(settings, grid)
+            markers, ds = _markers(settings, grid, [] if remarks is None else remarks)
             curves = _curves(markers, ds)
             stretch = rest = curves.stretching(markers)
             if settings.rest_length is not None:
@@ -81,44 +84,45 @@ def _laws(settings, curves, rest):
     return laws
 
 
-def _markers(settings, grid):
+def _markers(settings, grid, remarks):
     """Initial markers on rank 0, none elsewhere, and the parameter step.  Collective."""
     comm = grid.comm.tompi4py()
-    markers, length, trouble = np.zeros((0, 2)), 0.0, ""
+    markers, length, remark, trouble = np.zeros((0, 2)), 0.0, "", ""
     if comm.rank == 0:
         try:
-            markers, length = _curve(settings, 0.5 * min(grid.dx, grid.dy))
+            markers, length, remark = _curve(settings, 0.5 * min(grid.dx, grid.dy))
         except InputError as error:
             trouble = str(error)
-    count, length, trouble = comm.bcast((len(markers), length, trouble))
+    count, length, remark, trouble = comm.bcast((len(markers), length, remark, trouble))
     if trouble:
         raise InputError(trouble)
+    if remark:
+        remarks.append(remark)
     return markers, length / count
 
 
 def _curve(settings, spacing):
-    """Markers of the curve asked for, about `spacing` apart unless counted, and its length."""
+    """Markers of the curve asked for, about `spacing` apart unless counted; length and remark."""
     if settings.marker_file is None:
         length = shapes.ellipse_perimeter(settings.axes)
         count = settings.markers or round(length / spacing)
-        return shapes.ellipse(settings.axes, settings.center, settings.angle, count), length
+        return shapes.ellipse(settings.axes, settings.center, settings.angle, count), length, ""
     try:
-        points = shapes.read_points(settings.marker_file)
+        points, remark = curve_files.read_points(settings.marker_file)
         spline = shapes.Spline(points)
-    except (OSError, ValueError, ImportError) as error:
+    except (OSError, ValueError) as error:
         raise _unfit(settings, error) from None
     check_curve(settings, points.min(axis=0), points.max(axis=0), spline.length, ("marker_file",))
     markers = spline.markers(settings.markers or round(spline.length / spacing))
     # The smooth curve goes a little beyond its points.
     low, high = markers.min(axis=0), markers.max(axis=0)
     check_curve(settings, low, high, spline.length, ("marker_file",))
-    if shapes.find_crossing(markers):
+    if find_crossing(markers):
         raise _unfit(settings, "the smooth curve through the points crosses itself")
-    return markers, spline.length
+    return markers, spline.length, remark and f"-marker_file {settings.marker_file}: {remark}"
 
 
 def _unfit(settings, why):
     return InputError(
-        f"-marker_file {settings.marker_file}: {why}; allowed: a text file, x and y of one point "
-        "a line, along a closed curve that does not cross itself"
+        f"-marker_file {settings.marker_file}: {why}; allowed: {curve_files.ALLOWED}"
     )

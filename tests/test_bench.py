@@ -46,3 +46,13 @@ def test_power_of_cells():
     records[bench.Case("fft", 1024, 1e9)] = {"status": "failed"}
     assert bench.exponent(records, "fft") == pytest.approx(1.1)
     assert bench.exponent(records, "GAMG") is None
+
+
+def test_no_target_is_met_without_a_result():
+    cases = [bench.Case(solver, cells, sigma0) for solver in (*bench.SOLVERS, bench.PLAIN)
+             for cells in (128, 512) for sigma0 in (1e5, 1e9)]
+    records = {case: {"status": "crashed"} for case in cases}
+    records[bench.Case(bench.PLAIN, 128, 1e5)].update(
+        {"step_seconds": 1.0, **{f"{name} seconds": 1.0 for name in bench.MOMENTUM}})
+    header, rule, *rows = bench._targets_table(records, None).strip().splitlines()
+    assert "met" in header and rows == []

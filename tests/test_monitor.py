@@ -205,7 +205,8 @@ def test_unknown_monitor_is_refused():
 def test_closing_lines():
     summary = {
         "last_row": row(200, inclination=0.39269908, treading_frequency=0.15034),
-        "steps": 100, "total_seconds": 2.5, "output": "out/tanktreading",
+        "steps": 100, "total_seconds": 2.8, "output": "out/tanktreading",
+        "phase_seconds": {"set-up": 0.3, "diagnostics": 0.2},
         "options": {"flow": "shear", "shear_rate": 1.0},
     }
     assert monitor.closing_lines(summary) == [
@@ -213,7 +214,7 @@ def test_closing_lines():
         "treading frequency  0.15034",
         "area error          -1.200e-04",
         "perimeter error     3.400e-08",
-        "seconds per step    0.025 (100 steps in 2.5 s)",
+        "seconds per step    0.025 (100 steps in 2.5 s, after 0.3 s of set-up)",
         "results in          out/tanktreading",
     ]
     summary["options"]["flow"] = "rest"

@@ -311,7 +311,7 @@ def test_precedence_is_given_then_scene_then_table():
 
 
 def test_values_that_follow_from_others():
-    factor = scenes.SCENES["tanktreading"].dt_over_h
+    factor = scenes.SCENES["tanktreading"].cfl
     assert options.read({}).ts_dt == factor * 2 / 64
     assert options.read({"scene": "relaxation"}).ts_dt == 2 / 64 / 4
     assert options.read({"stag_grid_x": "128"}).ts_dt == factor * 2 / 128

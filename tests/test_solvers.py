@@ -8,7 +8,7 @@ from petscib.errors import SolveError
 from petscib.fluid.grid import Grid
 from petscib.fluid.operators import Operators
 from petscib.fluid.sides import Sides
-from petscib.membrane import geometry
+from petscib.membranes import geometry
 from petscib.schemes import create
 from petscib.solvers import krylov
 from petscib.solvers.momentum import MomentumSolver

@@ -9,7 +9,7 @@ from petscib.errors import InputError
 from petscib.fluid.grid import Grid
 from petscib.fluid.operators import Operators
 from petscib.fluid.sides import Sides
-from petscib.membrane import geometry
+from petscib.membranes import geometry
 from petscib.solvers.saddle import CoupledSolver, ForceMethod
 from petscib.solvers.transform_pcs import StokesTransform
 

@@ -1,5 +1,6 @@
 """The studies: their parts, and a tiny case of each."""
 import csv
+import importlib
 import os
 
 import numpy as np
@@ -19,6 +20,7 @@ from petscib.studies import (
     tanktreading,
     workprecision,
 )
+from petscib.studies.__main__ import STUDIES
 from petscib.studies.campaign import Campaign
 
 TINY = dict(scene="relaxation", stag_grid_x=16, fft=True, ts_dt=0.03125, ts_max_time=0.0625)
@@ -72,12 +74,14 @@ def test_runs_are_made_once_and_failures_are_outcomes(campaign, monkeypatch):
     good = one.run("good", TINY)
     bad = one.run("bad", {**TINY, "scheme": "ep", "sigma0": 1e9})
     slow = one.run("slow", {**TINY, "ts_dt": 1e-6}, time_limit=2.0)
+    assert one.exit_status == 0 and all(run.is_result for run in (good, bad, slow))
     refused = one.run("refused", {**TINY, "ts_dt": -1})
     assert good.finished and good.steps == 2 and good.largest("area_error") < 1e-3
     assert good.step_seconds > 0 and good.final()["u"].shape == (16, 17)
     assert bad.status == runs.FAILED and bad.reason.startswith("petscib: step ")
     assert slow.status == runs.STOPPED and slow.seconds < 2.0 + runs.GRACE
     assert refused.status == runs.REFUSED and "-ts_dt" in refused.reason
+    assert not refused.is_result
 
     with open(one.path("runs.csv")) as file:
         index = {row["title"]: row for row in csv.DictReader(file)}
@@ -190,6 +194,101 @@ def test_numbers_in_tables():
     values = None, float("nan"), 0, 1.2345, 1e-5, 1236.0, 123456.0
     found = [report.number(value) for value in values]
     assert found == ["-", "-", "0", "1.23", "1.00e-5", "1240", "1.23e5"]
+
+
+# ---------------------------------------------------------------- crashes
+
+REFUSAL = """--------------------------------------------------------------------------
+mpiexec has detected an attempt to run as root.
+
+Running as root is *strongly* discouraged as any mistake (e.g., in
+defining TMPDIR) or bug can result in catastrophic damage.
+--------------------------------------------------------------------------
+"""
+
+
+@pytest.fixture
+def launcher(tmp_path, monkeypatch):
+    """Take a shell script, given as text, for the launcher."""
+    def install(text):
+        path = tmp_path / "launcher"
+        path.write_text("#!/bin/sh\n" + text)
+        path.chmod(0o755)
+        monkeypatch.setenv("MPIEXEC", str(path))
+
+    return install
+
+
+def crashing(launcher, folder, words):
+    """Make the runs crash that have these words among their options."""
+    (folder / "refusal").write_text(REFUSAL)
+    real = os.environ.get("MPIEXEC") or "mpiexec"
+    launcher(f"""case "$*" in *"{words}"*) cat {folder}/refusal; exit 213;; esac
+        exec {real} "$@"\n""")
+
+
+@pytest.mark.parametrize("name", [*STUDIES, "bench"])
+def test_a_study_whose_runs_all_crash_says_why_and_leaves_nothing(tmp_path, launcher, name):
+    crashing(launcher, tmp_path, "-output")
+    main = importlib.import_module(f"petscib.studies.{name}").main
+    with pytest.raises(SystemExit) as end:
+        main(["-quick", "-output", str(tmp_path / "out")])
+    message = end.value.code  # a text, with which Python ends with status 1
+    assert message.startswith(f"{name}: none of ") and "has given a result" in message
+    assert "crashed: mpiexec has detected an attempt to run as root. (exit status 213)" in message
+    log = message.split(": ")[-1]
+    assert open(log).read() == REFUSAL
+    assert sorted(os.listdir(tmp_path / "out")) == ["runs", "runs.csv"]
+
+
+def test_a_launcher_that_is_not_there(campaign, monkeypatch):
+    monkeypatch.setenv("MPIEXEC", "no-such-launcher")
+    outcome = campaign("some").run("one", TINY)
+    assert outcome.status == runs.CRASHED and not outcome.is_result
+    assert outcome.reason == ("cannot start no-such-launcher: No such file or directory "
+                              "(exit status 127)")
+
+
+@pytest.mark.parametrize("text, reason", [
+    ("petscib: a remark\nTraceback (most recent call last):\n  File \"a.py\", line 1\n    f()\n"
+     "KeyError: 'x'\n---\nMPI_ABORT was invoked on rank 0\n", "KeyError: 'x'"),
+    ("[0]PETSC ERROR: ----------------\n[0]PETSC ERROR: Caught signal number 11 SEGV: Segmentation "
+     "Violation\n[0]PETSC ERROR: Try option -start_in_debugger\n",
+     "Caught signal number 11 SEGV: Segmentation Violation"),
+    (REFUSAL, "mpiexec has detected an attempt to run as root."),
+    ("petscib: a remark\n\n", "no message"), ("", "no message"),
+])
+def test_why_a_run_has_crashed(tmp_path, text, reason):
+    (tmp_path / "log.txt").write_text(text)
+    found = runs._reason(str(tmp_path / "log.txt"), runs.CRASHED, 9)
+    assert found == f"{reason} (exit status 9)"
+
+
+def test_a_crash_among_results_is_none_of_them(campaign, launcher, tmp_path, capsys):
+    crashing(launcher, tmp_path, "-scheme gbe")
+    one = campaign("stability")
+    small = {"stag_grid_x": 16, "axes": (0.25, 0.4), "ts_dt": 0.125}
+    records = stability.study(one, [stability.Case("group", "name", small)], steps=2,
+                              time_limit=60, schemes=("be", "gbe"))
+    assert [record["verdict"] for record in records] == [stability.SOUND, stability.UNKNOWN]
+    assert one.exit_status == 1
+    assert_results(one)
+    crash = "crashed | mpiexec has detected an attempt to run as root. (exit status 213)"
+    assert crash in open(one.path("stability.md")).read()
+    assert "gbe: crashed, 0 steps, 0.0 s: mpiexec has detected" in capsys.readouterr().err
+
+    one = campaign("maxstep")
+    first, *others = maxstep.study(one, (16,), (1e7,), explicit_steps=2, octave=1, time_limit=60,
+                                   schemes=("be", "gbe"), smallest=32.0)
+    assert first["relation"] != maxstep.UNKNOWN and first["dt"] > 0
+    assert [record["relation"] for record in others[1:]] == [maxstep.UNKNOWN] * 2
+    assert_results(one)
+    assert "| no result |" in open(one.path("maxstep.md")).read()
+
+    one = campaign("convergence")
+    convergence.study(one, (16,), 24, schemes=("be", "gbe"))
+    assert_results(one)
+    assert one.exit_status == 1 and campaign("other").exit_status == 0
 
 
 # ---------------------------------------------------------------- a tiny case of each

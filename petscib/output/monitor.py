@@ -234,8 +234,9 @@ def closing_lines(summary):
     ----------
     summary : dict
         The content of ``summary.json``; read are ``last_row`` (the last row of the diagnostics
-        table), ``steps`` (number done by this run), ``total_seconds``, ``output`` (the folder)
-        and, in ``options``, ``flow`` and ``shear_rate``. What is missing is left out.
+        table), ``steps`` (number done by this run), ``total_seconds``, ``output`` (the folder),
+        ``phase_seconds`` (of which the set-up counts) and, in ``options``, ``flow`` and
+        ``shear_rate``. What is missing is left out.
 
     Returns
     -------
@@ -263,7 +264,10 @@ def closing_lines(summary):
             add(title, f"{_value(row, name):.3e}")
     steps, seconds = summary.get("steps"), summary.get("total_seconds")
     if steps and _number(seconds):
-        add("seconds per step", f"{seconds / steps:.3g} ({steps} steps in {seconds:.3g} s)")
+        set_up = summary.get("phase_seconds", {}).get("set-up", 0.0)
+        seconds -= set_up
+        add("seconds per step", f"{seconds / steps:.3g} ({steps} steps in {seconds:.3g} s, after "
+            f"{set_up:.2g} s of set-up)")
     if summary.get("output"):
         add("results in", summary["output"])
     return lines

@@ -12,15 +12,17 @@ STUDIES = ("convergence", "iterations", "workprecision", "stability", "maxstep",
 
 
 def main(arguments=None):
-    """Run all studies, each in its subfolder of the output folder."""
+    """Run all studies, each in its subfolder of the output folder; returns the exit status."""
     parser = argparse.ArgumentParser(prog="python -m petscib.studies", description=__doc__,
                                      allow_abbrev=False)
     add_options(parser)
     given = parser.parse_args(arguments)
+    status = 0
     for name in STUDIES:
         words = ["-ranks", str(given.ranks), *(["-quick"] if given.quick else [])]
         words += ["-output", os.path.join(given.output or os.path.join("out", "studies"), name)]
-        importlib.import_module(f".{name}", __package__).main(words)
+        status = max(status, importlib.import_module(f".{name}", __package__).main(words))
+    return status
 
 
 if __name__ == "__main__":

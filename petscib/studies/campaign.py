@@ -72,8 +72,9 @@ class Campaign:
         if outcome is None:
             self._say(f"{progress} {title} ...", end="")
             outcome, note = runs.execute(run, folder), ""
+        why = "" if outcome.is_result else f": {outcome.reason}"
         self._say(f"{progress} {title}: {outcome.status}, {outcome.steps} steps, "
-                  f"{outcome.seconds:.1f} s {note}".rstrip())
+                  f"{outcome.seconds:.1f} s {note}".rstrip() + why)
         self._outcomes[run.key], self._titles[run.key] = outcome, title
         self._write_index()
         return outcome
@@ -101,6 +102,11 @@ class Campaign:
         ]
         report.write_csv(self.path("runs.csv"), _INDEX, rows)
 
+    @property
+    def exit_status(self):
+        """Of the study: 1 when a run has crashed, else 0."""
+        return int(any(one.status == runs.CRASHED for one in self._outcomes.values()))
+
     def path(self, name):
         """Path of a file in the study's folder."""
         return os.path.join(self.output, name)
@@ -115,10 +121,25 @@ class Campaign:
             None where a quantity does not apply.
         text : str
             Markdown.
+
+        Raises
+        ------
+        SystemExit
+            No run has given a result: nothing is written, and the message says why.
         """
+        without = [key for key, one in self._outcomes.items() if not one.is_result]
+        if len(without) == len(self._outcomes):
+            first = self._outcomes[without[0]]
+            sys.exit(f"{self.name}: none of {len(without)} runs has given a result; the first "
+                     f"{first.status}: {first.reason}; all it said: {first.folder}/log.txt")
         report.write_csv(self.path(f"{self.name}.csv"), columns, rows)
         quick = " -quick" if self.quick else ""
         examples = [one.command for one in self._outcomes.values()]
+        if without:
+            text += "\n**Runs that crashed or were refused**\n\n" + report.markdown_table(
+                ["run", "status", "reason"],
+                [[self._titles[key], self._outcomes[key].status,
+                  self._outcomes[key].reason.replace("|", "/")] for key in without])
         text += f"\nMade by `python -m petscib.studies.{self.name}{quick}`"
         text += f"; the command of every run is in `runs.csv`, such as\n`{examples[-1]}`.\n"
         report.write_text(self.path(f"{self.name}.md"), text)

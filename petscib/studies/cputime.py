@@ -24,12 +24,13 @@ COLUMNS = ("cells", "scheme", "dt", "steps", "step_seconds", "set_up_seconds", "
 
 
 def main(arguments=None):
-    """Run the study."""
+    """Run the study; returns the exit status."""
     campaign = Campaign.from_command_line("cputime", __doc__.splitlines()[0], arguments)
     if campaign.quick:
         study(campaign, (128, 256), explicit_steps=100, implicit_steps=10, time_limit=120)
     else:
         study(campaign, (128, 256, 512), explicit_steps=100, implicit_steps=None, time_limit=7200)
+    return campaign.exit_status
 
 
 def study(campaign, cells, explicit_steps, implicit_steps, time_limit, schemes=SCHEMES):

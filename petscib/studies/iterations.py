@@ -29,12 +29,13 @@ SOLVERS = {
 
 
 def main(arguments=None):
-    """Run the study."""
+    """Run the study; returns the exit status."""
     campaign = Campaign.from_command_line("iterations", __doc__.splitlines()[0], arguments)
     if campaign.quick:
         study(campaign, (64, 128), (1e5, 1e9))
     else:
         study(campaign, (64, 128, 256), (1e5, 1e7, 1e9, 1e13))
+    return campaign.exit_status
 
 
 def study(campaign, cells, stiffnesses, solvers=tuple(SOLVERS)):
@@ -47,11 +48,10 @@ def study(campaign, cells, stiffnesses, solvers=tuple(SOLVERS)):
     }
     outcomes = campaign.run_all(declared)
     rows = [(*label, most_iterations(outcome)) for label, outcome in outcomes.items()]
-    found = {row[:3]: row[3] for row in rows}
     header = ["solver", "cells", *(f"sigma0 = {report.number(one, 1)}" for one in stiffnesses)]
     table = [
         [solver, f"{count}^2"]
-        + [_text(found[solver, count, sigma0]) for sigma0 in stiffnesses]
+        + [_text(outcomes[solver, count, sigma0]) for sigma0 in stiffnesses]
         for solver in solvers for count in cells
     ]
     campaign.write(
@@ -69,8 +69,10 @@ def most_iterations(outcome):
     return int(outcome.largest(f"{name}_iterations")) if outcome.finished else None
 
 
-def _text(count):
-    return f"none in {MOST}" if count is None else str(count)
+def _text(outcome):
+    if "DIVERGED_MAX_IT" in outcome.reason:
+        return f"none in {MOST}"
+    return str(most_iterations(outcome)) if outcome.finished else outcome.status
 
 
 if __name__ == "__main__":

@@ -37,18 +37,19 @@ PAPER = {
 PAPER_SCHEMES = "ep", "mbe", "mcn"
 COLUMNS = ("scheme", "sigma0", "cells", "criterion", "relation", "dt", "dt_over_h", "above_it",
            "paper_dt")
-EQUAL, AT_LEAST, BELOW = "=", ">=", "<"
+EQUAL, AT_LEAST, BELOW, UNKNOWN = "=", ">=", "<", "no result"
 ALWAYS, AT_END = "at every step", "at the end"
 
 
 def main(arguments=None):
-    """Run the study."""
+    """Run the study; returns the exit status."""
     campaign = Campaign.from_command_line("maxstep", __doc__.splitlines()[0], arguments)
     if campaign.quick:
         study(campaign, (64, 128), (1e7, 1e9), explicit_steps=200, octave=2, time_limit=300)
     else:
         study(campaign, (128, 256, 512), STIFFNESSES, explicit_steps=1000, octave=2,
               time_limit=3600)
+    return campaign.exit_status
 
 
 def study(campaign, cells, stiffnesses, explicit_steps, octave, time_limit, schemes=SCHEMES,
@@ -89,13 +90,17 @@ def study(campaign, cells, stiffnesses, explicit_steps, octave, time_limit, sche
 
         # The few steps of ep have no end that would mean anything.
         for criterion in (ALWAYS,) if scheme == "ep" else (ALWAYS, AT_END):
-            relation, dt, above = search(
-                lambda dt, make=make, criterion=criterion: trouble(make(dt), criterion),
-                low, high, octave)
-            records.append(dict(scheme=scheme, sigma0=sigma0, cells=count, criterion=criterion,
-                                relation=relation, dt=dt, dt_over_h=dt / h, above_it=above,
-                                paper_dt=paper(scheme, sigma0, count)))
-    campaign.write(COLUMNS, [[one[name] for name in COLUMNS] for one in records],
+            record = dict(scheme=scheme, sigma0=sigma0, cells=count, criterion=criterion,
+                          paper_dt=paper(scheme, sigma0, count))
+            try:
+                relation, dt, above = search(
+                    lambda dt, make=make, criterion=criterion: trouble(make(dt), criterion),
+                    low, high, octave)
+                record.update(relation=relation, dt=dt, dt_over_h=dt / h, above_it=above)
+            except NoResultError:
+                record["relation"] = UNKNOWN
+            records.append(record)
+    campaign.write(COLUMNS, [[one.get(name) for name in COLUMNS] for one in records],
                    _markdown(records, explicit_steps, octave))
     _draw(campaign.path("maxstep.png"), records, stiffnesses)
     return records
@@ -107,8 +112,19 @@ def declare(scheme, sigma0, cells, dt, end):
                 ts_dt=dt, ts_max_time=end)
 
 
+class NoResultError(Exception):
+    """A run of a search has crashed or was refused: nothing is known of its time step."""
+
+
 def trouble(outcome, criterion):
-    """Why a run does not count as stable; an empty text when it does."""
+    """Why a run does not count as stable; an empty text when it does.
+
+    Raises
+    ------
+    NoResultError
+    """
+    if not outcome.is_result:
+        raise NoResultError
     if outcome.status == runs.FAILED:
         return f"fails at step {outcome.steps + 1}"
     if not outcome.finished:
@@ -176,7 +192,7 @@ def _markdown(records, explicit_steps, octave):
         if among:
             text += f"\n**Within 1 percent {criterion}**\n\n{_limits(among)}"
     rows = [[one["criterion"], f"{one['cells']}^2", report.number(one["sigma0"], 1), one["scheme"],
-             one["above_it"]] for one in records if one["above_it"]]
+             one["above_it"]] for one in records if one.get("above_it")]
     return text + "\nWhat goes wrong just above:\n\n" + report.markdown_table(
         ["criterion", "cells", "sigma0", "scheme", "trouble"], rows)
 
@@ -189,8 +205,10 @@ def _limits(records):
         row = [f"{count}^2", report.number(sigma0, 1)]
         for scheme in schemes:
             one = entries[count, sigma0, scheme]
-            relation = "" if one["relation"] == EQUAL else one["relation"] + " "
-            entry = f"{relation}{report.number(one['dt'])} ({report.number(one['dt_over_h'])})"
+            entry = UNKNOWN
+            if one["relation"] != UNKNOWN:
+                relation = "" if one["relation"] == EQUAL else one["relation"] + " "
+                entry = f"{relation}{report.number(one['dt'])} ({report.number(one['dt_over_h'])})"
             if one["paper_dt"]:
                 entry += f" [{report.number(one['paper_dt'])}]"
             row.append(entry)
@@ -219,7 +237,7 @@ def _draw_panel(axis, records):
         group = [one for one in records if one["scheme"] == scheme]
         # Side by side, since several schemes share the same limit.
         places = np.array([one["cells"] for one in group]) * 1.05 ** (k - len(schemes) / 2)
-        axis.loglog(places, [one["dt"] for one in group], label=scheme, **style)
+        axis.loglog(places, [one.get("dt", np.nan) for one in group], label=scheme, **style)
         known = [one for one in group if one["paper_dt"]]
         if known:
             axis.loglog([one["cells"] for one in known], [one["paper_dt"] for one in known],

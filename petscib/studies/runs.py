@@ -4,6 +4,7 @@ import hashlib
 import json
 import math
 import os
+import re
 import shlex
 import shutil
 import signal
@@ -23,6 +24,7 @@ from ..settings import text_of
 FINISHED, FAILED, REFUSED, CRASHED, STOPPED = (
     "finished", "failed", "refused", "crashed", "time limit")
 _BY_EXIT_STATUS = {0: FINISHED, 2: REFUSED, 3: FAILED}
+NOT_STARTED = 127  # as a shell says it
 GRACE = 10.0  # seconds between asking a run to stop and ending it
 QUIET = {"monitor": "none", "plot": False}
 
@@ -97,6 +99,11 @@ class Outcome:
         """Whether the run reached its end."""
         return self.status == FINISHED
 
+    @property
+    def is_result(self):
+        """Whether it says something of the method: also a failure does, unlike a crash."""
+        return self.status in (FINISHED, FAILED, STOPPED)
+
     @cached_property
     def rows(self):
         """The columns of diagnostics.csv; empty when the run wrote none."""
@@ -153,9 +160,15 @@ def execute(run, folder):
     began = perf_counter()
     # A file, not a pipe: a rank left behind would hold a pipe open.
     with open(log, "w") as output:
-        job = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=output, env=environment,
-                               stderr=subprocess.STDOUT, start_new_session=True)
-        exit_status = _wait(job, run.time_limit)
+        try:
+            job = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=output,
+                                   env=environment, stderr=subprocess.STDOUT,
+                                   start_new_session=True)
+        except OSError as error:
+            output.write(f"cannot start {command[0]}: {error.strerror}\n")
+            exit_status = NOT_STARTED
+        else:
+            exit_status = _wait(job, run.time_limit)
     seconds = perf_counter() - began
     status, reason = STOPPED, f"not finished after {run.time_limit:g} s"
     if exit_status is not None:
@@ -184,11 +197,18 @@ def _wait(job, time_limit):
 
 
 def _reason(log, status, exit_status):
-    """Petscib's own last words, or the last line of a crash."""
+    """Petscib's own last words, or of a crash the line that tells most."""
     with open(log, errors="replace") as file:
-        lines = [line.strip() for line in file if line.strip()]
-    ours = [line for line in lines if line.startswith("petscib: ") and status != CRASHED]
-    return (ours or lines or [f"exit status {exit_status}"])[-1]
+        text = file.read()
+    ours = [line for line in text.splitlines() if line.startswith("petscib: ")]
+    if ours and status != CRASHED:
+        return ours[-1].strip()
+    # The exception is the first line after a traceback that is not indented. Without one, what
+    # went wrong is said first (by MPI, PETSc or the system), and what came of it later.
+    exception = re.search(r"^Traceback \(most recent call last\):\n(?:[ \t].*\n)*(\S.*)", text, re.M)
+    said = re.findall(r"^(?:\[\d+\]PETSC ERROR:)?[ \t]*(?!petscib: )(\w\S* .*)", text, re.M)
+    what = exception[1] if exception else said[0] if said else "no message"
+    return f"{what.strip()} (exit status {exit_status})"
 
 
 def _remember(outcome):

@@ -29,7 +29,8 @@ LEDGER = dict(ledger="record")
 COLUMNS = ("group", "case", "scheme", "status", "reason", "steps", "energy_rise", "monotone",
            "ledger_residual", "area_drift", "perimeter_drift", "solver_iterations",
            "picard_iterations", "step_seconds", "verdict")
-SOUND, RISES, DRIFTS, LOST = "sound", "energy rises", "drifts", "does not finish"
+SOUND, RISES, DRIFTS, LOST, UNKNOWN = (
+    "sound", "energy rises", "drifts", "does not finish", "no result")
 
 
 @dataclass(frozen=True)
@@ -101,12 +102,13 @@ def cases():
 
 
 def main(arguments=None):
-    """Run the study."""
+    """Run the study; returns the exit status."""
     campaign = Campaign.from_command_line("stability", __doc__.splitlines()[0], arguments)
     if campaign.quick:
         study(campaign, [case for case in cases() if case.quick], steps=5, time_limit=60)
     else:
         study(campaign, cases(), time_limit=900)
+    return campaign.exit_status
 
 
 def study(campaign, chosen, steps=None, time_limit=900.0, schemes=SCHEMES):
@@ -161,7 +163,7 @@ def judge(case, scheme, outcome):
     if case.at_rest and len(energy) > 1:
         rise = max(0.0, np.diff(energy).max() / max(energy.max(), np.finfo(float).tiny))
         record.update(energy_rise=rise, monotone=int(rise <= ROUND_OFF))
-    record["verdict"] = _verdict(record)
+    record["verdict"] = _verdict(record) if outcome.is_result else UNKNOWN
     return record
 
 
@@ -219,7 +221,8 @@ def shortened(reason):
 
 def _draw(path, records, chosen, schemes):
     """A square for every run: its colour the verdict, in it the larger drift."""
-    colours = {SOUND: "#9BD0B9", RISES: "#F2CF7E", DRIFTS: "#BFDDF2", LOST: "#E59C78"}
+    colours = {SOUND: "#9BD0B9", RISES: "#F2CF7E", DRIFTS: "#BFDDF2", LOST: "#E59C78",
+               UNKNOWN: "#DDDDDD"}
     with report.picture(path, 2.6 + 0.95 * len(schemes), 1.0 + 0.27 * len(chosen)) as (
             figure, axes):
         axis = axes[0, 0]
@@ -236,7 +239,7 @@ def _draw(path, records, chosen, schemes):
                         fontsize=9)
         axis.tick_params(length=0, labeltop=True, labelbottom=False)
         handles = [_square(0, 0, colour) for colour in colours.values()]
-        figure.legend(handles, colours, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncol=4,
+        figure.legend(handles, colours, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncol=5,
                       title="number: larger relative error of area and perimeter; "
                             "or the step that failed")
 

@@ -33,12 +33,13 @@ COLUMNS = ("shear_rate", "reduced_area", "cells", "rx", "ry", "status", "reason"
 
 
 def main(arguments=None):
-    """Run the study."""
+    """Run the study; returns the exit status."""
     campaign = Campaign.from_command_line("tanktreading", __doc__.splitlines()[0], arguments)
     if campaign.quick:
         study(campaign, (32, 64), (0.45, 0.7, 0.95), (1.0, 10.0), time_limit=300)
     else:
         study(campaign, (64, 128, 256), REDUCED_AREAS, SHEAR_RATES, time_limit=7200)
+    return campaign.exit_status
 
 
 def study(campaign, cells, reduced_areas, shear_rates, time_limit, last_strain=LAST_STRAIN,

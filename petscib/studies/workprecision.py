@@ -33,12 +33,13 @@ COLUMNS = ("case", "sigma0", "scheme", "cells", "dt_over_h", "dt", "steps", "sta
 
 
 def main(arguments=None):
-    """Run the study."""
+    """Run the study; returns the exit status."""
     campaign = Campaign.from_command_line("workprecision", __doc__.splitlines()[0], arguments)
     if campaign.quick:
         study(campaign, (32, 64), 128, (0.25, 1), (1 / 512,), time_limit=120)
     else:
         study(campaign, (32, 64, 128), 256, (0.25, 1, 4), (1 / 512,), time_limit=1000)
+    return campaign.exit_status
 
 
 def study(campaign, cells, finest, implicit_steps, explicit_steps, time_limit,
