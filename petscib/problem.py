@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from petsc4py import PETSc
 
+from . import guard
+from .agreement import on_root
 from .coupling.interpolation import Interpolation
 from .events import phase
 from .membrane import geometry
@@ -123,10 +125,17 @@ class Problem:
         self.evolve = evolve
 
     def interpolation(self, markers):
-        """The matrix J at these marker positions, or None without a membrane.  Collective."""
+        """The matrix J at these marker positions, or None without a membrane.  Collective.
+
+        Raises
+        ------
+        SolveError
+            On all ranks: a marker is too near a wall, or beyond it.
+        """
         if self.membrane is None:
             return None
         with phase("interpolation assembly"):
+            on_root(self.grid.comm.tompi4py(), lambda: guard.check_markers(self, markers))
             return Interpolation(self.grid, self.kernel, markers, self.membrane.ds)
 
     @property
