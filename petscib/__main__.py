@@ -22,45 +22,48 @@ def main(arguments=None):
     asked = [word for word in arguments if word.lower() in ("-help", "--help", "-h")]
     version = [word for word in arguments if word.lower() in ("-version", "--version")]
 
-    import petsc4py
-
-    # PETSc would print its own help or version, rank by rank, before ours.
-    petsc4py.init([sys.argv[0], *(word for word in arguments if word not in asked + version)])
     from mpi4py import MPI
-    from petsc4py import PETSc
 
-    from . import installation, options, restart
+    from . import options, petsc, sources
+    from .agreement import on_root
     from .errors import InputError, OutputError, SolveError
+    from .output import console
 
-    root = MPI.COMM_WORLD.rank == 0
+    world = MPI.COMM_WORLD
     try:
+        on_root(world, lambda: sources.check(arguments))
+        # PETSc would print its own help or version, rank by rank, before ours.
+        petsc.start([word for word in arguments if word not in asked + version])
+        console.protect()
+        from petsc4py import PETSc
+
+        from . import installation, restart
+
         if version:
-            if root:
+            if world.rank == 0:
                 print(*(" ".join(item) for item in installation.versions().items()), sep="\n")
             return 0
         installation.check()
         database = PETSc.Options().getAll()
+        # At its end newer PETSc lists what nothing has read; the run has named that already.
+        if "options_left" not in database:
+            PETSc.Options()["options_left"] = "no"
         information = options.information({**database, **dict.fromkeys(asked and ["help"], "")})
         if information is not None:
-            if root:
+            if world.rank == 0:
                 print(information)
             return 0
-        options.reject_stray_words(arguments)
-        database = restart.merge(database, MPI.COMM_WORLD)
-        return _simulate(options.read(database), root)
+        database = restart.merge(database, world)
+        return _simulate(options.read(database), world.rank == 0)
     except (InputError, SolveError, OutputError) as error:
-        if root:
+        if world.rank == 0:
             print(f"petscib: {error}", file=sys.stderr, flush=True)
         return error.exit_status
     except Exception:
         # The other ranks may be waiting for this one: end the whole job, not this rank alone.
         traceback.print_exc()
         sys.stderr.flush()
-        MPI.COMM_WORLD.Abort(1)
-    finally:
-        # At its end newer PETSc lists what nothing has read; the run has named that already.
-        if not PETSc.Options().hasName("options_left"):
-            PETSc.Options()["options_left"] = "no"
+        world.Abort(1)
 
 
 def _simulate(settings, root):

@@ -20,7 +20,53 @@ class SolveError(_OneLine):
     exit_status = 3
 
 
+class WallError(SolveError):
+    """The membrane has come to where the box ends; a smaller time step would not help."""
+
+
+class Crash(SolveError):
+    """An exception that nobody foresaw: there is no going on from where it leaves the solvers.
+
+    Attributes
+    ----------
+    traceback : str
+        Where it was raised; on the rank that raised it.
+    """
+
+    traceback = ""
+
+
 class OutputError(_OneLine):
     """Results could not be written, as on a full disk: one line, exit status 3."""
 
     exit_status = 3
+
+
+# PETSc's error codes for an unknown type of a solver, and for a missing matrix package.
+_NOT_THERE = 86, 92
+
+
+def ours(error):
+    """The error of ours that an exception amounts to.  Not collective.
+
+    What a Python callback of PETSc raises arrives inside an error of PETSc's since 3.19, as its
+    cause.  Only texts are taken over: the exception holds on to PETSc's objects, which must not
+    outlive PETSc.
+    """
+    while _is_petsc(error) and (error.__cause__ or error.__context__):
+        error = error.__cause__ or error.__context__
+    if isinstance(error, _OneLine):
+        return type(error)(str(error))
+    if _is_petsc(error):
+        # Its text is the stack of C functions, then what is wrong; each line begins "[rank] ".
+        words = str(error).splitlines()[-1].rpartition("] ")[2]
+        text = f"PETSc error {error.ierr}: {words}"
+        if error.ierr in _NOT_THERE:
+            return InputError(text)
+    else:
+        text = " ".join(f"{type(error).__name__}: {error}".split())
+    return Crash(text)
+
+
+def _is_petsc(error):
+    return hasattr(error, "ierr")

@@ -8,17 +8,21 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)
 class Interrupt:
     """Notes SIGINT, SIGTERM and SIGUSR1 inside a ``with`` block.  Not collective.
 
-    The first signal of a kind is noted; from then on that kind has its default effect again, so
-    that a second Ctrl-C ends the program at once.
+    However often they come, the step is finished and the state saved: a launcher and a batch
+    system may each send theirs.  Only a second Ctrl-C (SIGINT) ends the program at once.
 
     Attributes
     ----------
     caught : int
         Number of the signal noted last; 0 when there was none.
+    at_once : callable or None
+        What SIGTERM also sets off wherever the program is: who sends it may not wait for the end
+        of a step.
     """
 
     def __init__(self):
         self.caught = 0
+        self.at_once = None
         self._before = {}
 
     def __enter__(self):
@@ -31,7 +35,11 @@ class Interrupt:
 
     def _note(self, kind, frame):
         self.caught = kind
-        signal.signal(kind, signal.SIG_DFL)
+        if kind == signal.SIGTERM and self.at_once is not None:
+            act, self.at_once = self.at_once, None
+            act()
+        if kind == signal.SIGINT:
+            signal.signal(kind, signal.SIG_DFL)
 
 
 def exit_status(kind):

@@ -16,6 +16,8 @@ from petscib.coupling.kernels import KERNELS
 from petscib.errors import InputError
 from petscib.settings import Settings, check, check_domain, resolve, text_of
 
+# Magnitudes that the sums and products of a run can hold, in whatever units.
+SMALLEST, LARGEST = 1e-60, 1e60
 LARGEST_INTEGER = 2**31 - 1  # PETSc's integers have 32 bits unless it was built otherwise
 
 # --- kinds of values: each parses a text (ValueError says what is wrong) and says what it allows
@@ -49,8 +51,10 @@ class Number:
         if not re.fullmatch(self.pattern, text, re.ASCII):
             raise ValueError(f"not a {self.noun}")
         value = self.convert(text)
-        if not math.isfinite(value):
-            raise ValueError("too large")
+        if abs(value) > LARGEST:
+            raise ValueError(f"its magnitude is above {text_of(LARGEST)}")
+        if 0 < abs(value) < SMALLEST or value == 0 and re.match("[-+.0]*[1-9]", text):
+            raise ValueError(f"its magnitude is below {text_of(SMALLEST)}")
         below = value <= self.low if self.open_low else value < self.low
         above = value >= self.high if self.open_high else value > self.high
         if below or above:

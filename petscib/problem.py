@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from petsc4py import PETSc
 
+from . import guard
+from .agreement import on_root
 from .coupling.interpolation import Interpolation
 from .events import phase
 from .membranes import mobility
@@ -144,8 +146,15 @@ class Problem:
         return self.areas is not None
 
     def interpolation(self, markers):
-        """The matrix J at these marker positions.  Collective."""
+        """The matrix J at these marker positions.  Collective.
+
+        Raises
+        ------
+        SolveError
+            On all ranks: a marker is too near a wall, or beyond it.
+        """
         with phase("interpolation assembly"):
+            on_root(self.grid.comm.tompi4py(), lambda: guard.check_markers(self, markers))
             return Interpolation(self.grid, self.kernel, markers)
 
     def operators_between(self, before, after, interpolation):

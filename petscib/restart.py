@@ -10,6 +10,7 @@ import sys
 from petsc4py import PETSc
 
 from . import options
+from .agreement import on_root
 from .errors import InputError
 from .output import checkpoint, files
 from .settings import given_text, text_of
@@ -46,21 +47,13 @@ def merge(database, comm):
     now = {name.lower(): text for name, text in database.items()}
     if not now.get("restart"):
         return database
-    header, trouble = None, None
-    if comm.rank == 0:
-        try:
-            header = _locate(now)
-        except InputError as error:
-            trouble = str(error)
-    header, trouble = comm.bcast((header, trouble))
-    if trouble:
-        raise InputError(trouble)
+    header = on_root(comm, lambda: _locate(now))
     _refuse_changes(now, header)
     for name, text in header.progress.solver_options.items():
         if name not in now:
             PETSc.Options()[name] = text
-    folder = os.path.dirname(header.path) or "."
-    return {**_saved_options(header), "output": folder, **now, "restart": header.path}
+    output = now.get("output") or os.path.dirname(header.path) or "."
+    return {**_saved_options(header, output), **now, "output": output, "restart": header.path}
 
 
 def _locate(now):
@@ -77,7 +70,7 @@ def _locate(now):
 def _latest(folder):
     """Header of the complete checkpoint of the highest step in a folder."""
     headers = []
-    for path in files.matching(folder, "checkpoint-*.h5", "final.h5"):
+    for path in files.named(folder, *checkpoint.NAMES):
         try:
             headers.append(checkpoint.read_header(path))
         except InputError as error:
@@ -90,13 +83,14 @@ def _latest(folder):
     return max(headers, key=lambda header: header.step)
 
 
-def _saved_options(header):
+def _saved_options(header, output):
     """Option texts that give the file's settings again, but for where it read and wrote."""
     paths = "restart", "output"
     record = {name: value for name, value in header.options.items() if name not in paths}
     record["given"] = [name for name in record["given"] if name not in paths]
     try:
-        fresh = options.read({**given_text(record), "restart": header.path}).to_dict()
+        texts = {**given_text(record), "restart": header.path, "output": output}
+        fresh = options.read(texts).to_dict()
     except InputError as error:
         raise InputError(f"{header.path}: {error}") from None
     # A scene's or the table's default may have changed since the file was written.

@@ -3,26 +3,30 @@
 import gc
 import math
 import signal
-from time import perf_counter
+import sys
+import traceback
+from contextlib import suppress
+from time import perf_counter, sleep
 
-import numpy as np
-from mpi4py import MPI
 from petsc4py import PETSc
 
 from . import accuracy, energy, events, guard, schemes, solver_options
+from .agreement import Agreement, on_rank, on_root
 from .diagnostics import Diagnostics
-from .errors import InputError, OutputError, SolveError
+from .errors import Crash, InputError, OutputError, SolveError, WallError, ours
 from .events import phase, stage
 from .interrupt import Interrupt
 from .output import checkpoint
 from .output.checkpoint import Progress
-from .output.results import Results
+from .output.rescue import Rescue
+from .output.results import TRACEBACK, Results
 from .settings import text_of
 from .solvers import krylov
 from .start import build_problem
 from .stepsize import StepSize
 
 ROUND_OFF = 1e-6  # of a time step: what is left of a run when it counts as finished
+PATIENCE = 5.0  # seconds that a rank which has failed waits for the others, or the longest attempt
 
 
 def _controls(settings):
@@ -55,17 +59,47 @@ class Simulation:
         self.ledger = None
         self.saved_in = None
         self.began = self.saved_at = perf_counter()
+        self.longest_attempt = 0.0
+        self.scheme = self.results = None
+        self.traceback = ""
+        self.writing = False
         comm = comm or PETSc.COMM_WORLD
         self.comm = comm.tompi4py()
+        self.agreement = Agreement(self.comm)
+        error = self._refusal(comm)
+        if error is not None:
+            self.destroy()
+            raise error
+
+    def _refusal(self, comm):
+        """Build all; what stands in the way on any rank, or None.  Collective."""
+        trouble = None
+        try:
+            self._build(self.settings, comm)
+        except (InputError, PETSc.Error) as error:
+            trouble = ours(error)
+            if isinstance(trouble, Crash):
+                trouble = InputError(f"PETSc cannot set this up: {trouble}")
+        except BaseException:
+            self.destroy()
+            raise
+        agreed = self.agreement.meet([trouble is not None], PATIENCE if trouble else None)
+        if agreed is None:
+            print(f"petscib: {trouble}", file=sys.stderr, flush=True)
+            self.comm.Abort(trouble.exit_status)
+        return self.agreement.common(trouble)[0] if agreed[0] else None
+
+    def _build(self, settings, comm):
         asked = solver_options.given()
-        header = self._header(settings) if settings.restart is not None else None
+        header = on_root(self.comm, self._header) if settings.restart is not None else None
         self.progress = header.progress if header else Progress()
         self.progress.solver_options = asked
         with stage("set-up"), phase("set-up"):
             self.remarks = []
             self.problem, self.state = build_problem(settings, comm, header, self.remarks)
             self.warning = accuracy.of_flow(settings, self.state.markers)
-            self.scheme = schemes.create(settings.scheme, self.problem, _controls(settings))
+            on_root(self.comm, lambda: self._check_start(header))
+            self._make_scheme()
             self.diagnostics = Diagnostics(self.problem, self.progress.reference or None)
         reduced = header and self.progress.dt < header.options["ts_dt"]
         self.step_size = StepSize(
@@ -81,23 +115,19 @@ class Simulation:
         # Fixed steps are counted: the round-off in the sum of many must not add one.
         self.last_step = most if settings.ts_adapt else min(steps, most)
         self.wall_seconds_before = self.progress.wall_seconds
-        try:
-            self.results = Results(settings, self.problem, min(steps, most), header)
-        except InputError:
-            self.destroy()
-            raise
+        self.agreement = Agreement(self.comm)
+        self.rescue = Rescue(self.comm)
+        self.results = Results(settings, self.problem, min(steps, most), header)
 
-    def _header(self, settings):
-        """Header of the file to continue from.  Collective."""
-        header, trouble = None, ""
-        if self.comm.rank == 0:
-            try:
-                header = checkpoint.read_header(settings.restart)
-            except InputError as error:
-                trouble = str(error)
-        header, trouble = self.comm.bcast((header, trouble))
-        if trouble:
-            raise InputError(trouble)
+    def _make_scheme(self):
+        """The scheme with its solvers, once more after a failure.  Collective."""
+        settings = self.settings
+        self.scheme = schemes.create(settings.scheme, self.problem, _controls(settings))
+
+    def _header(self):
+        """Header of the file to continue from.  Rank 0 only."""
+        settings = self.settings
+        header = checkpoint.read_header(settings.restart)
         slack = ROUND_OFF * settings.ts_dt
         for name, reached, least in (
             ("ts_max_time", header.time, header.time + slack),
@@ -110,6 +140,16 @@ class Simulation:
                     "already; allowed: more than that"
                 )
         return header
+
+    def _check_start(self, header):
+        """Refuse to go on where the delta function now reaches a wall.  Rank 0 only."""
+        try:
+            guard.check_markers(self.problem, self.state.markers)
+        except SolveError as error:
+            raise InputError(
+                f"-delta {self.settings.delta}: {error}; allowed: one that reaches less far than "
+                f"the vesicle of {header.path} is from the walls"
+            ) from None
 
     def run(self, after_step=None):
         """Step until the end time, the last step or a signal; leave the results.
@@ -126,42 +166,57 @@ class Simulation:
 
         Raises
         ------
-        SolveError
+        InputError, SolveError
             A step failed; the state before it has been saved.
         OutputError
             Results could not be written.
         """
+        trouble = None
+        try:
+            try:
+                return self._run(after_step)
+            except (InputError, SolveError, OutputError):  # on which all ranks agree
+                raise
+            except Exception as error:
+                trouble = self._trouble(error)
+            raise self._failure(self._meet(trouble))
+        except OutputError as error:
+            last = f"; the last checkpoint is {self.saved_in}" if self.saved_in else ""
+            raise OutputError(f"results could not be written: {error}{last}") from None
+        finally:
+            self.results.close()
+
+    def _run(self, after_step):
         results, settings = self.results, self.settings
         first = self.first_step
         last = self.last_step if self.last_step < math.inf else None
         results.monitor.start(first, self.state.time, settings.ts_max_time, last)
         for remark in filter(None, [*self.remarks, self.warning]):
             results.say(f"petscib: {remark}")
-        try:
-            with stage("stepping"):
-                if settings.restart is None:  # else the row of the first state is there already
-                    self._record(None)
-                    self._write_fields()
-                while not self._is_last(self.state) and not self.signal:
-                    self._advance()
-                    self._save_when_due()
-                    if self.state.step == first + 1:
-                        self._warn_of_unread_options()
-                    if after_step is not None:
-                        after_step()
-            if not self.signal:
-                self._save("final.h5")
-        except OutputError as error:
-            last = f"; the last checkpoint is {self.saved_in}" if self.saved_in else ""
-            raise OutputError(f"results could not be written: {error}{last}") from None
-        finally:
-            results.close()
+        with stage("stepping"):
+            if settings.restart is None:  # else the row of the first state is there already
+                self._record(None)
+                self._write_fields()
+            self._keep()
+            self.interrupt.at_once = self._save_at_once
+            while not self._is_last(self.state) and not self.signal:
+                self._advance()
+                self._save_when_due()
+                if self.state.step == first + 1:
+                    self._warn_of_unread_options()
+                if after_step is not None:
+                    after_step()
+        self.interrupt.at_once = None
+        if not self.signal:
+            self._save("final.h5")
+        results.close()
         ended = signal.Signals(self.signal).name if self.signal else "finished"
+        seconds = perf_counter() - self.began
         with stage("output"), phase("output"):
+            summary = results.summarise(self.state.step - first, seconds, events.seconds, ended)
             if settings.plot and not self.signal:
                 results.draw()
-            seconds = perf_counter() - self.began
-            return results.summarise(self.state.step - first, seconds, events.seconds, ended)
+        return summary
 
     def _is_last(self, state):
         left = self.settings.ts_max_time - state.time
@@ -180,35 +235,85 @@ class Simulation:
         """Take a step, with -ts_adapt in as many attempts as it needs.  Collective."""
         while True:
             dt = self._next_dt()
-            try:
-                step = self._attempt(dt)
+            step, error = self._attempt(dt)
+            if error is None:
                 break
-            except SolveError as error:
-                if not self.step_size.reject(dt):
-                    raise self._failure(error) from None
-                self.results.say(
-                    f"petscib: step {self.state.step + 1} with dt = {dt:.3g} failed: {error}; "
-                    f"trying {self.step_size.dt:.3g}"
-                )
+            retry = isinstance(error, SolveError) and not isinstance(error, Crash)
+            if not (retry and self.step_size.reject(dt)):
+                raise self._failure(error)
+            self.results.say(
+                f"petscib: step {self.state.step + 1} with dt = {dt:.3g} failed: {error}; "
+                f"trying {self.step_size.dt:.3g}"
+            )
+            # What a failed solve has left in PETSc's objects is not fit for another.
+            self.scheme.destroy()
+            self._make_scheme()
             # Python's objects on several ranks are freed only together.
             gc.collect()
             PETSc.garbage_cleanup()
         self.step_size.accept()
         self.state = step.end
         self._warn_of_long_steps(step)
+        if self.keeping:
+            self._keep()
         if self._has_row(self.state):
             self._record(step)
         self._write_fields()
         step.discard()
 
     def _attempt(self, dt):
+        """The step and None, or None and the error that all ranks agree upon.  Collective."""
+        begin = perf_counter()
+        step, error = self._agreed(self._checked_step, dt)
+        asked = self.settings.ledger
+        if error is None and asked != "none" and (asked != "record" or self._has_row(step.end)):
+            with phase("ledger"):
+                _, error = self._agreed(self._check_ledger, step)
+        self.longest_attempt = max(self.longest_attempt, perf_counter() - begin)
+        return step, error
+
+    def _agreed(self, work, *arguments):
+        """Result and None, or None and the error that any rank met with.  Collective."""
+        result = trouble = None
+        try:
+            result = work(*arguments)
+        except Exception as error:
+            trouble = self._trouble(error)
+        return result, self._meet(trouble)
+
+    def _trouble(self, error):
+        """What an exception amounts to; where it was raised is noted.  Not collective."""
+        trouble = ours(error)
+        if isinstance(trouble, Crash):
+            self.traceback = traceback.format_exc()
+        return trouble
+
+    def _meet(self, trouble):
+        """Agree on what has failed on any rank, what signals ask for, and what is due.
+
+        Collective, but for a rank in trouble whose others do not come: it ends the job.
+        """
+        minutes = self.settings.checkpoint_minutes
+        late = minutes and perf_counter() - self.saved_at >= 60 * minutes
+        root = self.comm.rank == 0
+        agreed = self.agreement.meet(
+            [trouble is not None, self.interrupt.caught, root and late, root and self.rescue.is_due],
+            max(PATIENCE, self.longest_attempt) if trouble else None,
+        )
+        if agreed is None:
+            self._abandon(trouble)
+        failed, self.signal, self.late, self.keeping = map(int, agreed)
+        if not failed:
+            return None
+        error, first = self.agreement.common(trouble)
+        if self.traceback and self.comm.rank == first:
+            self.results.keep_traceback(self.traceback)
+        return error
+
+    def _checked_step(self, dt):
         step = self.scheme.step(self.state, dt)
         with phase("checks"):
             guard.check(self.problem, step.end)
-        asked = self.settings.ledger
-        if asked != "none" and (asked != "record" or self._has_row(step.end)):
-            with phase("ledger"):
-                self._check_ledger(step)
         return step
 
     def _check_ledger(self, step):
@@ -231,9 +336,19 @@ class Simulation:
             saved = f"the state before it is in {self._save()}"
         except OutputError as failure:
             saved = f"the state before it could not be saved ({failure})"
-        return SolveError(
+        return self._last_words(error, saved)
+
+    def _last_words(self, error, saved):
+        advice = self.scheme.advice
+        if isinstance(error, WallError):
+            advice = "a larger -domain leaves it room"
+        elif isinstance(error, Crash):
+            advice = f"{self.results.path(TRACEBACK)} says where"
+        elif isinstance(error, InputError):
+            advice = "-help names what is allowed"
+        return type(error)(
             f"step {self.state.step + 1} from time {self.state.time:.6g} failed: {error}; "
-            f"{self.scheme.advice}; {saved}"
+            f"{advice}; {saved}"
         )
 
     def _warn_of_long_steps(self, step):
@@ -242,6 +357,22 @@ class Simulation:
             self.warning = accuracy.of_step(step.start.markers, step.end.markers, step.dt)
             if self.warning:
                 self.results.say(f"petscib: {self.warning}")
+
+    def _abandon(self, trouble):
+        """End the job: the others wait for what this rank cannot do any more.  Not collective."""
+        while not self.rescue.claim():
+            sleep(60)  # another rank is ending it
+        if self.traceback:
+            self.results.keep_traceback(self.traceback)
+        try:
+            path = self.rescue.save(self.results.folder, self.problem, self.settings)
+            saved = f"the newest state within its reach is in {path}"
+        except Exception as failure:
+            last = f"; the last checkpoint is {self.saved_in}" if self.saved_in else ""
+            saved = f"the state before it could not be saved ({ours(failure)}){last}"
+        error = self._last_words(on_rank(trouble, self.comm.rank), saved)
+        self.results.monitor.write(f"petscib: {error}")
+        self.comm.Abort(error.exit_status)
 
     def _record(self, step):
         largest = self.progress.largest_energy
@@ -257,34 +388,51 @@ class Simulation:
             self._output(self.results.write_fields, self.state)
 
     def _save_when_due(self):
-        """Agree on what signals and the clock ask for, and do it.  Collective."""
-        minutes, every = self.settings.checkpoint_minutes, self.settings.checkpoint_every
-        late = minutes and perf_counter() - self.saved_at >= 60 * minutes
-        mine = np.array([self.interrupt.caught, bool(late and self.comm.rank == 0)])
-        agreed = np.empty_like(mine)
-        self.comm.Allreduce(mine, agreed, op=MPI.MAX)
-        self.signal, late = agreed.tolist()
-        if (self.signal or late or every and self.state.step % every == 0) and not (
+        """Do what signals, the clock and the step's number ask for.  Collective."""
+        every = self.settings.checkpoint_every
+        if (self.signal or self.late or every and self.state.step % every == 0) and not (
             self._is_last(self.state) and not self.signal
         ):
             self._save()
 
     def _save(self, name=None):
         """Write a checkpoint.  Returns its path."""
+        self.saved_at = perf_counter()
+        self.saved_in = self._output(self.results.save, self.state, self._reached(), name)
+        return self.saved_in
+
+    def _save_at_once(self):
+        """Save the newest state that all ranks have kept, in the middle of a step.  Any rank."""
+        if self.comm.rank == 0 and not self.writing:
+            with suppress(Exception):  # the orderly end may still come
+                if self.comm.size == 1:
+                    self._save()
+                else:
+                    self.rescue.save(self.results.folder, self.problem, self.settings)
+
+    def _keep(self):
+        """Keep the state for the case that this or another rank fails alone.  Not collective."""
+        with phase("rescue copies"):
+            self.rescue.keep(self.state, self._reached())
+
+    def _reached(self):
+        """The progress up to the present state."""
         progress = self.progress
         progress.dt, progress.good_steps = self.step_size.dt, self.step_size.good_steps
         progress.wall_seconds = self._wall_seconds()
         progress.reference = self.diagnostics.reference or {}
-        self.saved_at = perf_counter()
-        self.saved_in = self._output(self.results.save, self.state, progress, name)
-        return self.saved_in
+        return progress
 
     def _wall_seconds(self):
         return self.wall_seconds_before + perf_counter() - self.began
 
     def _output(self, write, *arguments):
-        with stage("output"), phase("output"):
-            return write(*arguments)
+        self.writing = True
+        try:
+            with stage("output"), phase("output"):
+                return write(*arguments)
+        finally:
+            self.writing = False
 
     def _warn_of_unread_options(self):
         """Name options for the solvers that no solver has read, once all have been set up."""
@@ -294,5 +442,8 @@ class Simulation:
 
     def destroy(self):
         """Free the solvers, before PETSc goes, and forget their defaults."""
-        self.scheme.destroy()
+        if self.scheme is not None:
+            self.scheme.destroy()
+        if self.results is not None:
+            self.results.release()
         krylov.withdraw_defaults()

@@ -52,6 +52,7 @@ from ..problem import State
 from .files import Dataset, explain, write_hdf5
 
 FORMAT_VERSION = 1
+NAMES = "checkpoint-#.h5", "final.h5"
 _NUMBERS = ("step", "time", "dt", "good_steps", "largest_energy", "wall_seconds")
 
 
@@ -106,6 +107,11 @@ class Header:
     progress: Progress
     markers: int = 0
     ds: float = 0.0
+
+
+def name_of(step):
+    """Name of the checkpoint of a step."""
+    return f"checkpoint-{step:08d}.h5"
 
 
 def save(path, problem, state, settings, progress):
@@ -198,13 +204,22 @@ def read_header(path):
         Naming the file and what is wrong with it.
     """
     try:
+        open(path, "rb").close()  # says why, when it is not there or may not be read
         if not h5py.is_hdf5(path):
-            open(path, "rb").close()  # says why, when it is not there or may not be read
             raise InputError(f"{path}: not an HDF5 file, or cut off at its beginning")
         with h5py.File(path, "r") as file:
             return _read_header(path, file)
     except (OSError, RuntimeError, KeyError) as failure:
-        raise InputError(f"{explain(failure, path)} (a damaged or cut off checkpoint)") from None
+        raise InputError(_why_unreadable(path, failure)) from None
+
+
+def _why_unreadable(path, failure):
+    """Why a file could not be opened or read, in one line."""
+    if isinstance(failure, BlockingIOError):
+        return f"{path}: locked, another program is writing to it"
+    # What the system refuses has its number; the rest is HDF5's, or ours, about the content.
+    system = getattr(failure, "errno", None) is not None
+    return explain(failure, path) + ("" if system else " (a damaged or cut off checkpoint)")
 
 
 def _read_header(path, file):

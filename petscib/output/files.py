@@ -1,7 +1,6 @@
 """Writing files so that none is ever seen half written, and failing on all ranks alike."""
 
 import errno
-import glob
 import os
 import re
 from contextlib import contextmanager, suppress
@@ -69,12 +68,11 @@ def write_text(path, text):
         file.write(text)
 
 
-def matching(folder, *patterns):
-    """Sorted paths in a folder that match any of the patterns."""
-    return sorted(
-        path for pattern in patterns
-        for path in glob.glob(os.path.join(glob.escape(folder), pattern))
-    )
+def named(folder, *names):
+    """Sorted paths of the files in a folder with one of these names; "#" stands for digits."""
+    pattern = re.compile("|".join(re.escape(name).replace(r"\#", "[0-9]{8,}") for name in names))
+    found = os.listdir(folder) if os.path.isdir(folder) else []
+    return sorted(os.path.join(folder, name) for name in found if pattern.fullmatch(name))
 
 
 class Dataset:

@@ -69,7 +69,7 @@ class Monitor:
         print(line, file=self.stream, flush=True)
 
     def close(self):
-        """Finish the display; the run has ended or was stopped. May be called twice."""
+        """Finish the display, if it has begun; the run has ended or was stopped. May be called twice."""
 
     def _fraction(self, time, step):
         """Part of the run that is done, 0 to 1; 0 if it has no end."""
@@ -92,11 +92,12 @@ class LogMonitor(Monitor):
     step always have theirs.
     """
 
+    _last_row = None
+
     def start(self, step, time, end_time, max_steps):
         """Begin; a restarted run says where."""
         super().start(step, time, end_time, max_steps)
         self._lines = 0
-        self._last_row = None
         self._printed_at = None
         self._printed_fraction = 0.0
         if step > 0:
@@ -143,6 +144,8 @@ class BarMonitor(Monitor):
     momentum, p for Poisson, c for coupled.
     """
 
+    _bar = None
+
     def start(self, step, time, end_time, max_steps):
         """Begin with what is done already."""
         super().start(step, time, end_time, max_steps)
@@ -181,11 +184,15 @@ class BarMonitor(Monitor):
 
     def write(self, line):
         """Print a line above the bar."""
-        # tqdm takes the bar off the screen, prints the line, and draws the bar again below.
-        self._bar.write(line, file=self.stream)
+        if self._bar is None:
+            super().write(line)
+        else:  # tqdm takes the bar off the screen, prints the line, and draws the bar again below
+            self._bar.write(line, file=self.stream)
 
     def close(self):
         """Finish the bar."""
+        if self._bar is None:
+            return
         if not self._bar.disable:
             self._bar.refresh()
         self._bar.close()

@@ -1,5 +1,6 @@
 """The output folder of a run: tables, checkpoints, fields, summary and pictures."""
 
+import itertools
 import json
 import os
 import resource
@@ -13,21 +14,26 @@ from petsc4py import PETSc
 
 from .. import installation
 from ..diagnostics import COLUMNS
-from ..errors import InputError
+from ..errors import InputError, ours
 from . import checkpoint, files, monitor, tables
 from .files import on_root
+from .lock import Lock
+from .plots import ANIMATIONS, PICTURES
 
 PREVIOUS = "previous"  # subfolder for what a new run would otherwise overwrite
 TABLES = ("diagnostics.csv", "outlines.csv")
-SAVED = ("checkpoint-*.h5", "final.h5", "fields-*.h5")
-OTHERS = ("fields.xdmf", "vesicles.xdmf", "summary.json", "*.png", "animation.*")
+SAVED = (*checkpoint.NAMES, "fields-#.h5")
+TRACEBACK = "traceback.txt"
+OTHERS = ("fields.xdmf", "vesicles.xdmf", "summary.json", TRACEBACK, *PICTURES, *ANIMATIONS)
+OURS = (*TABLES, *SAVED, *OTHERS)  # all that a run writes; nothing else is touched
 
 
 class Results:
     """Writes what a run leaves behind.  Collective.
 
     The folder holds one history: a new run, or a restart from an earlier step, first moves what
-    it is going to do again into the subfolder ``previous``.
+    it is going to do again into the subfolder ``previous``.  What that held already stays, as
+    ``previous-1``, ``previous-2`` and so on.
 
     Parameters
     ----------
@@ -41,7 +47,7 @@ class Results:
     Raises
     ------
     InputError
-        On all ranks, when the folder cannot be written to.
+        On all ranks, when the folder cannot be written to, or another run is writing there.
     """
 
     def __init__(self, settings, problem, steps, header=None):
@@ -54,8 +60,12 @@ class Results:
             settings.monitor if self.comm.rank == 0 else "none", sys.stderr
         )
         self.last_row = None
-        self.diagnostics = self.outlines = None
-        on_root(self.comm, lambda: self._open(header), InputError)
+        self.diagnostics = self.outlines = self.lock = None
+        try:
+            on_root(self.comm, lambda: self._open(header), InputError)
+        except InputError:
+            self.release()
+            raise
         self.series = None
         if settings.xdmf_every:
             from .xdmf import Series
@@ -65,7 +75,8 @@ class Results:
     def _open(self, header):
         """Make the folder ready and open the tables.  Rank 0 only."""
         os.makedirs(self.folder, exist_ok=True)
-        for leftover in files.matching(self.folder, "*" + files.PART):
+        self._claim()
+        for leftover in files.named(self.folder, *(name + files.PART for name in OURS)):
             os.unlink(leftover)
         source = header and (os.path.dirname(header.path) or ".")
         continues = source is not None and os.path.samefile(source, self.folder)
@@ -73,8 +84,7 @@ class Results:
             self._set_aside(_later(self.folder, header.step))
         else:
             copies = [] if source is None else self._copy_tables(source)
-            self._clear_previous(keep=source)
-            if self._set_aside(files.matching(self.folder, *TABLES, *SAVED, *OTHERS)):
+            if self._set_aside(files.named(self.folder, *OURS)):
                 self.say(f"petscib: results of an earlier run are now in {self.path(PREVIOUS)}")
             for copy in copies:
                 os.replace(copy, copy[: -len(files.PART)])
@@ -92,27 +102,35 @@ class Results:
         except ValueError as error:
             raise OSError(f"cannot be continued: {error}") from None
 
+    def _claim(self):
+        """See to it that no other run writes here, nor where its results would be moved."""
+        self.lock = Lock(self.folder)
+        if not self.lock.holds:
+            self.say(f"petscib: no run can be kept from {self.folder}: its file system has no locks")
+        if os.path.isdir(self.path(PREVIOUS)):
+            Lock(self.path(PREVIOUS)).release()
+
     def _copy_tables(self, source):
         """Copy the tables of another folder under temporary names, which are returned."""
         copies = []
-        for path in files.matching(source, *TABLES):
+        for path in files.named(source, *TABLES):
             copies.append(self.path(os.path.basename(path) + files.PART))
             shutil.copyfile(path, copies[-1])
         return copies
 
-    def _clear_previous(self, keep):
-        """Remove what an even earlier run has left, unless the restart's file lies there."""
-        folder = self.path(PREVIOUS)
-        if os.path.isdir(folder) and not (keep and os.path.samefile(keep, folder)):
-            for path in files.matching(folder, *TABLES, *SAVED, *OTHERS):
-                os.unlink(path)
-
     def _set_aside(self, paths):
         """Move files into the subfolder for what is done again.  Returns the paths."""
-        if paths:
-            os.makedirs(self.path(PREVIOUS), exist_ok=True)
+        if not paths:
+            return paths
+        previous = self.path(PREVIOUS)
+        if os.path.exists(previous):
+            numbers = itertools.count(1)
+            os.rename(previous, next(
+                path for path in (f"{previous}-{k}" for k in numbers) if not os.path.exists(path)
+            ))
+        os.mkdir(previous)
         for path in paths:
-            os.replace(path, os.path.join(self.folder, PREVIOUS, os.path.basename(path)))
+            os.replace(path, os.path.join(previous, os.path.basename(path)))
         return paths
 
     def path(self, name):
@@ -162,7 +180,7 @@ class Results:
         OutputError
             On all ranks.
         """
-        path = self.path(name or f"checkpoint-{state.step:08d}.h5")
+        path = self.path(name or checkpoint.name_of(state.step))
         on_root(self.comm, self._sync)
         checkpoint.save(path, self.problem, state, self.settings, progress)
         on_root(self.comm, self._prune)
@@ -175,7 +193,7 @@ class Results:
                 table.sync()
 
     def _prune(self):
-        old = files.matching(self.folder, "checkpoint-*.h5")[: -self.settings.checkpoint_keep]
+        old = files.named(self.folder, checkpoint.NAMES[0])[: -self.settings.checkpoint_keep]
         for path in old:
             os.unlink(path)
 
@@ -211,8 +229,14 @@ class Results:
             plots.plot_all(self.folder)
         except ImportError as error:
             self.say(f"petscib: no pictures, {error.name} is not installed")
-        except (OSError, ValueError) as error:
-            self.say(f"petscib: not all pictures could be drawn: {error}")
+        except Exception as error:  # of whatever library beneath: the results are there
+            why = error if isinstance(error, (OSError, ValueError)) else ours(error)
+            self.say(f"petscib: not all pictures could be drawn: {why}")
+
+    def keep_traceback(self, text):
+        """Leave where an exception was raised, for whoever mends it.  On any one rank."""
+        with suppress(OSError):
+            files.write_text(self.path(TRACEBACK), text)
 
     def close(self):
         """Close the tables and the progress display."""
@@ -221,6 +245,12 @@ class Results:
             if table is not None:
                 with suppress(OSError):  # a row that could not be written has been reported
                     table.close()
+
+    def release(self):
+        """Let other runs have the folder."""
+        self.close()
+        if self.lock is not None:
+            self.lock.release()
 
 
 def peak_memory(comm):
@@ -232,7 +262,7 @@ def peak_memory(comm):
 def _later(folder, step):
     """Checkpoints and frames in a folder that are later than a step, or cannot be read."""
     later = []
-    for path in files.matching(folder, *SAVED):
+    for path in files.named(folder, *SAVED):
         try:
             with h5py.File(path, "r") as file:
                 found = file.attrs["step"]

@@ -113,7 +113,7 @@ class Series:
         self.frames = []
         self.markers = 0
         if self.comm.rank == 0:
-            self.frames = [_moment(path) for path in files.matching(folder, "fields-*.h5")]
+            self.frames = [_moment(path) for path in files.named(folder, "fields-#.h5")]
 
     def write(self, state):
         """Write a frame and both indices.  Collective.

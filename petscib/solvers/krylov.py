@@ -1,5 +1,6 @@
 """Krylov solvers by option prefix, with defaults that the user's options override."""
 
+import importlib
 from contextlib import contextmanager
 
 from petsc4py import PETSc
@@ -103,15 +104,25 @@ def create(matrix, prefix, defaults):
     ksp.setOperators(matrix)
     try:
         ksp.setFromOptions()
-    except Exception as error:
+    except Exception:
         ksp.destroy()  # at exit, PETSc can no longer free one with a python preconditioner
-        if isinstance(error, (ImportError, AttributeError)):
-            raise InputError(f"-{prefix}pc_python_type: {error}") from error
+        _check_python_type(prefix)
         raise
     ksp.setInitialGuessNonzero(ksp.getType() != "preonly")
     if ksp.getType() == "cg" and not PETSc.Options(prefix).hasName("ksp_norm_type"):
         ksp.setNormType(PETSc.KSP.NormType.NATURAL)  # which costs nothing, as r^T B r is known
     return ksp
+
+
+def _check_python_type(prefix):
+    """Refuse a python preconditioner that is not there; one that fails is another matter."""
+    name = PETSc.Options(prefix).getString("pc_python_type", "")
+    module, _, attribute = name.rpartition(".")
+    try:
+        if name and not hasattr(importlib.import_module(module or name), attribute):
+            raise InputError(f"-{prefix}pc_python_type {name}: {module} has no {attribute}")
+    except ModuleNotFoundError as error:
+        raise InputError(f"-{prefix}pc_python_type {name}: {error}") from None
 
 
 def reason_name(ksp):

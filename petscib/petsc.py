@@ -1,0 +1,59 @@
+"""PETSc's start, of which a user sees one line when it fails."""
+
+import os
+import sys
+import tempfile
+from contextlib import contextmanager
+
+from .errors import InputError, ours
+
+
+def start(arguments):
+    """Start MPI and PETSc.  Collective.
+
+    Parameters
+    ----------
+    arguments : list of str
+        Command line without the program's name.
+
+    Raises
+    ------
+    InputError
+        PETSc cannot read its options.
+    """
+    import petsc4py
+    from mpi4py import MPI  # which PETSc then finds started, even if it fails itself
+
+    failure = None
+    with _held_back(2) as words:
+        try:
+            petsc4py.init([sys.argv[0], *arguments])
+        except RuntimeError as error:
+            failure = ours(error)
+    if failure is not None:
+        # Each line begins "[0]PETSC ERROR: ": a frame, the kind of error, what is wrong, advice.
+        said = [line.partition("PETSC ERROR: ")[2].strip() for line in words]
+        said = [line for line in said if line and not line.startswith("-")]
+        why = said[1] if len(said) > 1 else str(failure)
+        error = InputError(f"PETSc cannot read its options: {why}")
+        if MPI.COMM_WORLD.size > 1:  # PETSc lets the others sleep, and die after a while
+            print(f"petscib: {error}", file=sys.stderr, flush=True)
+            MPI.COMM_WORLD.Abort(error.exit_status)
+        raise error
+    sys.stderr.writelines(words)
+
+
+@contextmanager
+def _held_back(descriptor):
+    """What is written to a file descriptor inside the block, as a list of lines, filled after."""
+    words = []
+    usual = os.dup(descriptor)
+    with tempfile.TemporaryFile("w+", errors="replace") as file:
+        os.dup2(file.fileno(), descriptor)
+        try:
+            yield words
+        finally:
+            os.dup2(usual, descriptor)
+            os.close(usual)
+            file.seek(0)
+            words += file.readlines()
