@@ -37,6 +37,7 @@ def _marker_trouble(problem, markers):
     high = np.array([b, d])
     reach = problem.kernel.reach * np.array([problem.grid.dx, problem.grid.dy])
     gap = np.minimum(markers - low, high - markers) - reach
+    gap[:, problem.grid.periodic] = np.inf
     if (gap >= 0).all():
         return ""
     marker, axis = np.unravel_index(np.argmin(gap), gap.shape)

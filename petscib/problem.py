@@ -112,15 +112,24 @@ class Problem:
     evolve : bool
         Keep the stretching as a variable of its own (Hu & Lai, eq. 3.7) instead of taking it
         from the markers at each step.
+    body_force : (float, float)
+        Uniform force per unit area on the fluid.
+
+    Attributes
+    ----------
+    body_force : PETSc.Vec or None
+        The same on the faces; None where there is none.
     """
 
-    def __init__(self, grid, operators, rho, mu, membrane=None, kernel=None, evolve=False):
+    def __init__(self, grid, operators, rho, mu, membrane=None, kernel=None, evolve=False,
+                 body_force=(0.0, 0.0)):
         self.grid = grid
         self.operators = operators
         self.rho, self.mu = rho, mu
         self.membrane = membrane
         self.kernel = kernel
         self.evolve = evolve
+        self.body_force = operators.uniform_force(body_force) if any(body_force) else None
 
     def interpolation(self, markers):
         """The matrix J at these marker positions, or None without a membrane.  Collective."""
@@ -135,11 +144,13 @@ class Problem:
         return self.membrane is not None and self.membrane.acts
 
     def fluid_rhs(self, velocity, interval, rhs):
-        """Set rhs = rho / (theta dt) u^n + mu (walls' part of the Laplacian)."""
+        """Set rhs = rho / (theta dt) u^n + mu (walls' part of the Laplacian) + body force."""
         velocity.copy(rhs)
         rhs.scale(self.rho / interval)
         if self.operators.wall_source is not None:
             rhs.axpy(self.mu, self.operators.wall_source)
+        if self.body_force is not None:
+            rhs.axpy(1.0, self.body_force)
 
     def add_force(self, state, tangent, interpolation, rhs):
         """Add the membrane force of a state, spread to the grid.  Collective."""

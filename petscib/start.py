@@ -29,7 +29,8 @@ def build_problem(settings, comm, header=None):
     InputError
         On all ranks: the marker file or the checkpoint is unfit.
     """
-    grid = Grid((settings.stag_grid_x, settings.stag_grid_y), settings.domain, comm)
+    periodic = "x" in settings.periodic, "y" in settings.periodic
+    grid = Grid((settings.stag_grid_x, settings.stag_grid_y), settings.domain, comm, periodic)
     sides = Sides(grid, settings.flow, settings.shear_rate)
     membrane, markers, stretch = None, np.zeros((0, 2)), np.zeros(0)
     if settings.vesicles:
@@ -50,6 +51,7 @@ def build_problem(settings, comm, header=None):
         membrane,
         KERNELS[settings.delta],
         settings.stretch == "evolve" and settings.sigma0 > 0,  # else nothing asks for it
+        settings.body_force,
     )
     if header is not None:
         return problem, checkpoint.load_state(header, grid, markers, stretch)
