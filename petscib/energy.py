@@ -8,7 +8,7 @@ u^{n+1} in the coupled schemes), U that of the markers and f the forces on them 
                     - mu dt |grad w|^2                         viscous
                     - dt f . K f                               kink
                     - dt^2 (theta - 1/2) |C U|^2               tension, bending: law by law
-                    + wall power + reset.
+                    + wall power + body power + reset.
 
 Law by law, |C U|^2 is sigma0 |T U|^2 for the tension and c_b |D_ss U|^2 for bending.  The reset is
 the energy put in when the stretching and the markers that the step predicted are replaced by those
@@ -50,7 +50,8 @@ class Ledger:
 
     Attributes
     ----------
-    inertia, projection, viscous, kink, tension, bending, wall_power, reset : float
+    inertia, projection, viscous, kink, tension, bending, wall_power, body_power, reset :
+        float
         The terms above.
     change : float
         E^{n+1} - E^n.
@@ -63,6 +64,7 @@ class Ledger:
     tension: float = 0.0
     bending: float = 0.0
     wall_power: float = 0.0
+    body_power: float = 0.0
     reset: float = 0.0
     change: float = 0.0
 
@@ -110,6 +112,9 @@ def balance(problem, step):
         gradient += operators.wall_norm - 2 * drag
         ledger.wall_power = mu * dt * area * (operators.wall_norm - drag)
     ledger.viscous = -mu * dt * area * gradient
+
+    if problem.body_force is not None:
+        ledger.body_power = dt * area * stage.dot(problem.body_force)
 
     pressure = end.pressure
     if step.projection is not None:

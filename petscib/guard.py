@@ -37,6 +37,7 @@ def check_markers(problem, markers):
     low, high = np.array([a, c]), np.array([b, d])
     reach = problem.kernel.reach * np.array([problem.grid.dx, problem.grid.dy])
     gaps = np.stack((markers - low, high - markers)) - reach
+    gaps[:, :, np.array(problem.grid.periodic)] = np.inf
     if (gaps >= 0).all():
         return
     side, marker, axis = np.unravel_index(np.argmin(gaps), gaps.shape)

@@ -122,10 +122,17 @@ class Problem:
         Whether markers slip by what smoothing takes from the velocity (see `mobility`).
     areas : ndarray, shape (V,), optional
         Signed areas that the membranes are to keep, on rank 0; None leaves them free.
+    body_force : (float, float)
+        Uniform force per unit area on the fluid.
+
+    Attributes
+    ----------
+    body_force : PETSc.Vec or None
+        The same on the faces; None where there is none.
     """
 
     def __init__(self, grid, operators, rho, mu, membranes=None, kernel=None, evolve=False,
-                 kink_correction=True, areas=None):
+                 kink_correction=True, areas=None, body_force=(0.0, 0.0)):
         self.grid = grid
         self.operators = operators
         self.rho, self.mu = rho, mu
@@ -134,6 +141,7 @@ class Problem:
         self.evolve = evolve
         self.kink_correction = kink_correction
         self.areas = areas
+        self.body_force = operators.uniform_force(body_force) if any(body_force) else None
 
     @property
     def acted_on(self):
@@ -196,11 +204,13 @@ class Problem:
         return self.membranes.stress(state.markers, state.stretch)
 
     def fluid_rhs(self, state, interval, rhs):
-        """Set rhs = rho / (theta dt) u^n + mu (walls' part of the Laplacian)."""
+        """Set rhs = rho / (theta dt) u^n + mu (walls' part of the Laplacian) + body force."""
         state.velocity.copy(rhs)
         rhs.scale(self.rho / interval)
         if self.operators.wall_source is not None:
             rhs.axpy(self.mu, self.operators.wall_source)
+        if self.body_force is not None:
+            rhs.axpy(1.0, self.body_force)
 
     def first_guess(self, state):
         """The stage velocity, extrapolated from the last two steps (a new vector)."""

@@ -20,8 +20,8 @@ LATEST = "latest"
 # constants, time step, ...) acts from the next step on.  The flow is here because the velocities
 # on the walls' faces are part of the state; rest_length, because the rest stretching is.
 FIXED = (
-    "scene", "stag_grid_x", "stag_grid_y", "domain", "flow", "shear_rate", "vesicles", "axes",
-    "center", "angle", "markers", "marker_file", "rest_length",
+    "scene", "stag_grid_x", "stag_grid_y", "domain", "periodic", "flow", "shear_rate", "vesicles",
+    "axes", "center", "angle", "markers", "marker_file", "rest_length",
 )
 
 
@@ -105,7 +105,7 @@ def _refuse_changes(now, header):
         if name not in now:
             continue
         value = options.value_of(options.TABLE[name], now[name] or "")
-        saved = header.options[name]
+        saved = header.options.get(name, options.TABLE[name].default)  # an older file lacks some
         saved = tuple(saved) if isinstance(saved, list) else saved
         if value != saved:
             allowed = f"{text_of(saved)}, or no -{name}" if saved is not None else f"no -{name}"

@@ -12,7 +12,7 @@ import numpy as np
 
 from petscib.coupling.kernels import KERNELS
 from petscib.errors import InputError
-from petscib.fluid.flows import FLOWS
+from petscib.fluid.flows import FLOWS, VARIES
 from petscib.membranes.shapes import ellipse_perimeter
 
 # The widest marker spacing, in cells. Prototypes were sound from 0.2 to 2 cells; wider and fluid
@@ -208,10 +208,16 @@ def check_curve(settings, low, high, perimeter, names):
     dx, dy = (b - a) / settings.stag_grid_x, (d - c) / settings.stag_grid_y
     reach = KERNELS[settings.delta].reach
     placing = *names, "domain", "delta", "stag_grid_x", "stag_grid_y"
-    for gap, cell, wall in ((low[0] - a, dx, f"x = {a:g}"), (b - high[0], dx, f"x = {b:g}"),
-                            (low[1] - c, dy, f"y = {c:g}"), (d - high[1], dy, f"y = {d:g}")):
+    for name, size, period in (("x", high[0] - low[0], b - a), ("y", high[1] - low[1], d - c)):
+        if name in settings.periodic and size > period:
+            _refuse(settings, (*placing, "periodic"), f"the vesicle is {size:.3g} long in {name} "
+                    "and would meet itself across the periodic side",
+                    f"at most the period, {period:.3g}")
+    for gap, cell, name, wall in ((low[0] - a, dx, "x", a), (b - high[0], dx, "x", b),
+                                  (low[1] - c, dy, "y", c), (d - high[1], dy, "y", d)):
+        wall = f"{name} = {wall:g}"
         # The slack allows a vesicle placed exactly at the reach, against round-off.
-        if gap < reach * cell * (1 - 1e-9):
+        if name not in settings.periodic and gap < reach * cell * (1 - 1e-9):
             why = (f"the vesicle lies {-gap:.3g} beyond the wall {wall}" if gap < 0 else
                    f"the vesicle comes within {gap:.3g} of the wall {wall}")
             _refuse(settings, placing, why, f"a distance of at least {reach:g} cells "
@@ -242,6 +248,12 @@ def _check_choices(settings):
     if settings.flow == "rest" and settings.shear_rate != 0:
         _refuse(settings, ("shear_rate",), "the flow is rest",
                 "0, or -flow shear, extensional or poiseuille")
+    along = sorted(set(VARIES[settings.flow]) & set(settings.periodic))
+    if along:
+        fit = [flow for flow, varies in VARIES.items() if not set(varies) & set(settings.periodic)]
+        _refuse(settings, ("flow", "periodic"), f"the flow {settings.flow} varies along "
+                f"{' and '.join(along)}, where the box is periodic",
+                f"-flow {' or '.join(fit)}, or another -periodic")
 
 
 def _check_vesicle(settings, shape_options):

@@ -34,7 +34,8 @@ def build_problem(settings, comm, header=None, remarks=None):
     InputError
         On all ranks: the marker file or the checkpoint is unfit.
     """
-    grid = Grid((settings.stag_grid_x, settings.stag_grid_y), settings.domain, comm)
+    periodic = "x" in settings.periodic, "y" in settings.periodic
+    grid = Grid((settings.stag_grid_x, settings.stag_grid_y), settings.domain, comm, periodic)
     sides = Sides(grid, settings.flow, settings.shear_rate)
     membranes, markers, stretch, areas = None, np.zeros((0, 2)), np.zeros(0), None
     if settings.vesicles:
@@ -62,6 +63,7 @@ def build_problem(settings, comm, header=None, remarks=None):
         settings.stretch == "evolve" and settings.sigma0 > 0,  # else nothing asks for it
         settings.kink_correction,
         areas,
+        settings.body_force,
     )
     if header is not None:
         return problem, checkpoint.load_state(header, grid, markers, stretch)

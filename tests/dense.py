@@ -114,17 +114,25 @@ def laplacian_of_flow(grid, flow, values):
     and y and gives u and v.
     """
     a, b, c, d = (np.array([[wall]]) for wall in grid.domain)
-    split = grid.u_index.size
-    x = grid.u_points()[0]
-    u = values[:split].reshape(grid.u_index.shape)
-    u_high = np.vstack((2 * flow(x, c)[0] - u[:1], u, 2 * flow(x, d)[0] - u[-1:]))
-    y = grid.v_points()[1]
-    v = values[split:].reshape(grid.v_index.shape)
-    v_wide = np.hstack((2 * flow(a, y)[1] - v[:, :1], v, 2 * flow(b, y)[1] - v[:, -1:]))
-    of_u = np.diff(u, 2, axis=1) / grid.dx**2 + np.diff(u_high, 2, axis=0)[:, 1:-1] / grid.dy**2
-    of_v = np.diff(v, 2, axis=0) / grid.dy**2 + np.diff(v_wide, 2, axis=1)[1:-1] / grid.dx**2
-    return np.concatenate((np.pad(of_u, ((0, 0), (1, 1))).ravel(),
-                           np.pad(of_v, ((1, 1), (0, 0))).ravel()))
+    u, v = values[: grid.u_index.size], values[grid.u_index.size :]
+    parts = []
+    for part, points, number in ((u.reshape(grid.u_index.shape), grid.u_points(), 0),
+                                 (v.reshape(grid.v_index.shape), grid.v_points(), 1)):
+        x, y = points
+        total = np.zeros(part.shape)
+        for axis, h, low, high in ((0, grid.dy, flow(x, c), flow(x, d)),
+                                   (1, grid.dx, flow(a, y), flow(b, y))):
+            first, last = np.take(part, [0], axis), np.take(part, [-1], axis)
+            if grid.periodic[1 - axis]:
+                ends = last, first
+            elif axis == 1 - number:  # across the component's own walls, whose faces are given
+                ends = first, last  # any value
+            else:
+                ends = 2 * low[number] - first, 2 * high[number] - last
+            whole = np.concatenate((ends[0], part, ends[1]), axis)
+            total += np.diff(whole, 2, axis=axis) / h**2
+        parts.append(total.ravel())
+    return np.concatenate(parts) * inner_faces(grid)
 
 
 def divergence(grid):
@@ -152,6 +160,10 @@ def interpolation(grid, kernel, markers):
     for x, y in markers:
         for component, (x_faces, y_faces) in enumerate((grid.u_points(), grid.v_points())):
             r_x, r_y = (x_faces - x) / grid.dx, (y_faces - y) / grid.dy
+            if grid.periodic[0]:
+                r_x = r_x - grid.m * np.round(r_x / grid.m)
+            if grid.periodic[1]:
+                r_y = r_y - grid.n * np.round(r_y / grid.n)
             weights = (kernel.along(r_x) * kernel.across(r_y) if component == 0
                        else kernel.across(r_x) * kernel.along(r_y))
             row = [np.zeros(grid.u_index.size), np.zeros(grid.v_index.size)]

@@ -20,9 +20,9 @@ every_kernel = pytest.mark.parametrize("name", KERNELS)
 class Case:
     """Markers on an ellipse over a small grid, random velocity and random force."""
 
-    def __init__(self, name="yang"):
-        self.grid, self.kernel = Grid((17, 14), DOMAIN), KERNELS[name]
-        self.markers = shapes.ellipse((0.35, 0.5), (0.43, 1.52), 20.0, 11)
+    def __init__(self, name="yang", periodic=(False, False), shift=(0.0, 0.0)):
+        self.grid, self.kernel = Grid((17, 14), DOMAIN, periodic=periodic), KERNELS[name]
+        self.markers = shapes.ellipse((0.35, 0.5), (0.43, 1.52), 20.0, 11) + shift
         random = np.random.default_rng(5)
         self.force = random.standard_normal(self.markers.shape)
         self.values = random.standard_normal(len(dense.velocity_numbers(self.grid)))
@@ -50,6 +50,21 @@ class Case:
 @every_kernel
 def test_equals_the_dense_matrix(name):
     case = Case(name)
+    table = dense.interpolation(case.grid, case.kernel, case.markers)
+    expected = (table @ case.values).reshape(-1, 2)
+    assert np.allclose(case.interpolate(case.velocity), expected, rtol=0, atol=ROUND_OFF)
+    spread = dense.velocity(case.grid, case.spread(case.force))
+    expected = LENGTH / (case.grid.dx * case.grid.dy) * table.T @ case.force.ravel()
+    assert np.allclose(spread, expected, rtol=0, atol=ROUND_OFF * np.abs(expected).max())
+
+
+@every_kernel
+@pytest.mark.parametrize("periodic, shift", [
+    ((True, False), (1.4, 0.0)), ((True, False), (-7.5, 0.0)), ((False, True), (0.0, 0.8)),
+    ((True, True), (-1.3, 5.0))])
+def test_markers_cross_periodic_sides(name, periodic, shift):
+    """They may also be several boxes away."""
+    case = Case(name, periodic, shift)
     table = dense.interpolation(case.grid, case.kernel, case.markers)
     expected = (table @ case.values).reshape(-1, 2)
     assert np.allclose(case.interpolate(case.velocity), expected, rtol=0, atol=ROUND_OFF)

@@ -30,8 +30,11 @@ def with_smooth_flow(monkeypatch):
     monkeypatch.setitem(flows.FLOWS, "smooth", smooth)
 
 
-def make(cells, flow="rest", domain=DOMAIN):
-    grid = Grid(cells, domain)
+SIDES = {"walls": (False, False), "x": (True, False), "y": (False, True), "xy": (True, True)}
+
+
+def make(cells, flow="rest", domain=DOMAIN, sides="walls"):
+    grid = Grid(cells, domain, periodic=SIDES[sides])
     return grid, Operators(grid, Sides(grid, flow, RATE))
 
 
@@ -57,8 +60,9 @@ def order(errors):
 
 @pytest.mark.parallel([1, 2, 3])
 @pytest.mark.parametrize("cells", [(7, 5), (10, 13)])
-def test_matrices(cells):
-    grid, operators = make(cells)
+@pytest.mark.parametrize("sides", SIDES)
+def test_matrices(cells, sides):
+    grid, operators = make(cells, sides=sides)
     faces, centres = dense.velocity_numbers(grid), grid.p_index.ravel()
     laplacian = dense.matrix(operators.laplacian)[np.ix_(faces, faces)]
     gradient = dense.matrix(operators.gradient)[np.ix_(faces, centres)]
@@ -70,9 +74,14 @@ def test_matrices(cells):
     assert np.allclose(divergence, dense.divergence(grid), rtol=4 * EPS, atol=0)
 
     inner = dense.inner_faces(grid)
+    assert inner.all() == (sides == "xy")
     assert np.array_equal(laplacian, laplacian.T)
     assert not laplacian[~inner].any() and not gradient[~inner].any()
-    assert np.linalg.eigvalsh(laplacian[np.ix_(inner, inner)]).max() < -1
+    largest = np.linalg.eigvalsh(laplacian[np.ix_(inner, inner)])[-3:]
+    if sides == "xy":  # the mean of each component is the only velocity without friction
+        assert np.abs(largest[1:]).max() <= 100 * EPS * scale and largest[0] < -1
+    else:
+        assert largest.max() < -1
     assert np.array_equal(gradient[inner], -divergence.T[inner])
     assert np.allclose(divergence @ gradient, -poisson, rtol=0, atol=4 * EPS * scale)
     assert np.abs(poisson.sum(axis=1)).max() <= 8 * EPS * scale
@@ -80,9 +89,10 @@ def test_matrices(cells):
 
 
 @pytest.mark.parallel([1, 2, 3])
-def test_wall_terms_do_not_depend_on_the_ranks():
+@pytest.mark.parametrize("sides", ["walls", "x", "y"])
+def test_wall_terms_do_not_depend_on_the_ranks(sides):
     """Laplacian and divergence of a flow that fills its walls, by ghost values in plain NumPy."""
-    grid, operators = make((7, 5), "smooth")
+    grid, operators = make((7, 5), "smooth", sides=sides)
     vector, result, cells = filled(grid, operators), grid.velocity_vector(), grid.pressure_vector()
     operators.laplacian.mult(vector, result)
     result.axpy(1.0, operators.wall_source)
@@ -152,7 +162,9 @@ def gradient_norm(operators, vector):
     """Squared norm of the velocity gradient as the energy ledger takes it."""
     work = vector.duplicate()
     operators.laplacian.mult(vector, work)
-    total = -vector.dot(work) - 2 * vector.dot(operators.wall_source) + operators.wall_norm
+    total = -vector.dot(work) + operators.wall_norm
+    if operators.wall_source is not None:
+        total -= 2 * vector.dot(operators.wall_source)
     return total * operators.grid.cell_area
 
 
@@ -165,9 +177,10 @@ def test_gradient_norm_of_shear_flow():
 
 
 @pytest.mark.parametrize("flow", FLOWS)
-def test_gradient_norm_is_a_sum_over_links(flow):
+@pytest.mark.parametrize("sides", ["walls", "x", "y"])
+def test_gradient_norm_is_a_sum_over_links(flow, sides):
     """For any velocity, with the walls' velocity half a cell or a cell away at the ends."""
-    grid, operators = make((14, 9), flow)
+    grid, operators = make((14, 9), flow, sides=sides)
     vector = filled(grid, operators)
     values = dense.velocity(grid, vector)
     inner = dense.inner_faces(grid)
@@ -175,13 +188,20 @@ def test_gradient_norm_is_a_sum_over_links(flow):
     dense.set_velocity(grid, vector, values)
     u, v = grid.velocity_blocks(vector)
     tangential = operators.sides.tangential
-    total = (np.diff(u, axis=1)**2).sum() / grid.dx**2 + (np.diff(v, axis=0)**2).sum() / grid.dy**2
-    total += ((np.diff(u, axis=0)[:, 1:-1]**2).sum() / grid.dy**2
-              + (np.diff(v, axis=1)[1:-1]**2).sum() / grid.dx**2)
+    # Links along each direction: between neighbours, once around where it is periodic.
+    around = [(lambda part: {"append": part[:, :1]}) if grid.periodic[0] else (lambda part: {}),
+              (lambda part: {"append": part[:1]}) if grid.periodic[1] else (lambda part: {})]
+    not_on_walls = [slice(None) if periodic else slice(1, -1) for periodic in grid.periodic]
+    total = ((np.diff(u, axis=1, **around[0](u))**2).sum()
+             + (np.diff(v, axis=1, **around[0](v))[not_on_walls[1]]**2).sum()) / grid.dx**2
+    total += ((np.diff(v, axis=0, **around[1](v))**2).sum()
+              + (np.diff(u, axis=0, **around[1](u))[:, not_on_walls[0]]**2).sum()) / grid.dy**2
     for side, row in (("bottom", 0), ("top", -1)):
-        total += 2 * ((u[row] - tangential[side])[1:-1]**2).sum() / grid.dy**2
+        if side in tangential:
+            total += 2 * ((u[row] - tangential[side])[not_on_walls[0]]**2).sum() / grid.dy**2
     for side, column in (("left", 0), ("right", -1)):
-        total += 2 * ((v[:, column] - tangential[side])[1:-1]**2).sum() / grid.dx**2
+        if side in tangential:
+            total += 2 * ((v[:, column] - tangential[side])[not_on_walls[1]]**2).sum() / grid.dx**2
     assert gradient_norm(operators, vector) == pytest.approx(total * grid.cell_area, rel=1e-12)
 
 

@@ -212,6 +212,19 @@ def test_channel_with_periodic_ends(tmp_path):
     assert {shift[1] for shift in shifts} == {0.0}
 
 
+def test_outlines_are_drawn_in_the_periodic_box(tmp_path):
+    write_run(tmp_path, steps=20, shear_rate=0.0, fields=False)
+    (tmp_path / "summary.json").write_text(json.dumps({"options": {
+        "flow": "rest", "body_force": [1.0, 0.0], "periodic": "x", "domain": [9, 11, 8, 10]}}))
+    options = plots._read_options(tmp_path)
+    X = ellipse(0.3, 0.0, centre=(-0.1, 0.0))
+    (time, ((vesicle, moved),)), = plots._in_the_box([(0.5, [(3, X)])], options)
+    assert (time, vesicle) == (0.5, 3)
+    np.testing.assert_allclose(moved, X + (10.0, 0.0), atol=1e-12)
+    assert_picture(plots.plot_outlines(tmp_path))
+    assert_picture(plots.plot_inclination(tmp_path))  # the fluid is driven
+
+
 def test_vorticity_and_centre_velocity_are_exact_for_linear_flows():
     n, m = 6, 8
     x, y = np.linspace(-1, 1, m + 1), np.linspace(0, 3, n + 1)

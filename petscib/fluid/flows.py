@@ -25,3 +25,5 @@ def poiseuille(x, y, shear_rate, domain):
 
 
 FLOWS = {flow.__name__: flow for flow in (rest, shear, extensional, poiseuille)}
+# Directions in which they vary: there the box cannot be periodic.
+VARIES = {"rest": "", "shear": "y", "extensional": "xy", "poiseuille": "y"}

@@ -101,6 +101,12 @@ class Grid:
             table[r, c] = part
         return table
 
+    def way_home(self, point):
+        """The translation by whole periods, (x, y), that takes a point (x, y) into the box."""
+        low, high = np.reshape(self.domain, (2, 2)).T
+        periods = np.floor((np.asarray(point) - low) / (high - low))
+        return np.where(self.periodic, -periods * (high - low), 0.0)
+
     def velocity_vector(self):
         """New zero vector over all faces."""
         return self.velocity_dm.createGlobalVec()

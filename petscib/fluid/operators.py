@@ -113,6 +113,13 @@ class Operators:
     def _neighbours(self, table, box, row, column):
         return _shifted(table, box, row, column, self.grid.periodic)
 
+    def uniform_force(self, force):
+        """New velocity vector of a force (x, y) that acts on all faces but those of walls."""
+        grid, vector = self.grid, self.grid.velocity_vector()
+        inner = self.u_unknown[grid.u_box] >= 0, self.v_unknown[grid.v_box] >= 0
+        grid.set_velocity(vector, *(size * part for size, part in zip(force, inner)))
+        return vector
+
     def _shape(self, rows, columns):
         return (rows.getSizes(), columns.getSizes())
 

@@ -30,7 +30,9 @@ Datasets, all of 8-byte floats, with attributes ``unit`` and ``location``:
 /vesicle_0/rest_stretch   (M,)             |X_s| without tension, at half points
 ========================  ===============  ========================================================
 
-A side of period a lacks the last column of u, or row of v.  The group /fluid has the attributes
+With ``-periodic x`` u lacks the last column, which would be the first again, and with
+``-periodic y`` v its last row; markers that have crossed such a side go on outside the box.  The
+group /fluid has the attributes
 ``domain`` (a, b, c, d) and ``spacing`` (dx, dy); /vesicle_0 has ``ds``, the markers' parameter
 step, and ``initial_area`` and ``initial_perimeter``, to which the errors in diagnostics.csv refer.
 
@@ -242,11 +244,12 @@ def _read_header(path, file):
         progress = Progress(**numbers, solver_options=json.loads(found["solver_options"]))
         header = Header(path, step, time, json.loads(found["options"]), progress)
         m, n = header.options["stag_grid_x"], header.options["stag_grid_y"]
+        periodic = header.options.get("periodic", "none")  # an older file has no such option
         vesicles = header.options["vesicles"]
     except (ValueError, TypeError, KeyError) as failure:
         raise InputError(f"{path}: damaged, its options cannot be read: {failure}") from None
-    _expect(path, file, "fluid/u", (n, m + 1))
-    _expect(path, file, "fluid/v", (n + 1, m))
+    _expect(path, file, "fluid/u", (n, m + ("x" not in periodic)))
+    _expect(path, file, "fluid/v", (n + ("y" not in periodic), m))
     _expect(path, file, "fluid/p", (n, m))
     if vesicles:
         _expect(path, file, "vesicle_0/X", (None, 2))

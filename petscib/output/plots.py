@@ -102,7 +102,7 @@ def plot_all(folder, output=None):
 
 def plot_outlines(folder, output=None):
     """``outlines.png``: the vesicles at up to eight times, marker 0 as a star (paper, Fig. 2)."""
-    moments = _read_moments(folder)
+    moments = _in_the_box(_read_moments(folder), _read_options(folder))
     if not moments:
         return None
     times = np.array([time for time, _ in moments])
@@ -327,7 +327,7 @@ def animate(folder, output=None, mp4=False):
     """
     from matplotlib import animation
 
-    moments = _read_moments(folder)
+    moments = _in_the_box(_read_moments(folder), _read_options(folder))
     if not moments:
         return None
     if mp4 and not animation.FFMpegWriter.isAvailable():
@@ -409,7 +409,8 @@ def _read_options(folder):
 
 
 def _is_at_rest(options):
-    return options.get("flow") == "rest" or options.get("shear_rate") == 0
+    flows = options.get("flow") != "rest" and options.get("shear_rate") != 0
+    return not flows and not any(options.get("body_force", ()))
 
 
 @contextmanager
@@ -461,6 +462,20 @@ def _vesicle_columns(table, name):
 
 
 # Preparing numbers
+
+
+def _in_the_box(moments, options):
+    """Move outlines by whole periods of a periodic box, so that their middles are inside."""
+    periodic = [name in options.get("periodic", "none") for name in "xy"]
+    if not any(periodic):
+        return moments
+    low, high = np.reshape(options["domain"], (2, 2)).T
+
+    def moved(X):
+        periods = np.floor((X.mean(axis=0) - low) / (high - low))
+        return X - np.where(periodic, periods * (high - low), 0.0)
+
+    return [(time, [(vesicle, moved(X)) for vesicle, X in outlines]) for time, outlines in moments]
 
 
 def _largest(values):

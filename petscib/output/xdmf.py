@@ -11,14 +11,15 @@ In a frame, with 4-byte floats for m x n cells, row index y and column index x:
 /fluid/velocity        (n, m, 3)        at the cell centres: mean of the two faces; z is 0
 /fluid/pressure        (n, m)           at the cell centres
 /fluid/vorticity       (n, m)           mean of the cell's four corners
-/vesicle_0/X           (M, 2)           markers
+/vesicle_0/X           (M, 2)           markers, moved by whole periods where the box is periodic
 /vesicle_0/edges       (M, 2)           numbers of the markers that edge k joins: k - 1 and k
 /vesicle_0/tension     (M,)             tension sigma on edge k
 /vesicle_0/stretch     (M,)             |X_s| on edge k
 =====================  ===============  ===========================================================
 
 Attributes of the root: step and time.  For the vorticity beside a wall, the ghost value
-2 u_wall - u_inside stands beyond it, as in the viscous operator.
+2 u_wall - u_inside stands beyond it, as in the viscous operator.  In a periodic box the vesicle's
+middle is inside; where it crosses a side, it goes on outside.
 """
 
 import os
@@ -40,13 +41,13 @@ _TAIL = """</Grid>
 """
 
 
-def cell_fields(grid, walls, velocity):
+def cell_fields(grid, sides, velocity):
     """Velocity and vorticity at the centres of this rank's cells.  Collective.
 
     Parameters
     ----------
     grid : Grid
-    walls : Walls
+    sides : Sides
     velocity : PETSc.Vec
 
     Returns
@@ -55,7 +56,7 @@ def cell_fields(grid, walls, velocity):
     vorticity : ndarray, shape (rows, columns)
         Of the shape of `grid.p_box`.
     """
-    u, v = _ghosted(grid, walls, velocity)
+    u, v = _ghosted(grid, sides, velocity)
     centre_u = (u[:, 1:] + u[:, :-1]) / 2  # one more row below and above
     centre_v = (v[1:] + v[:-1]) / 2  # one more column on either side
     # The mean over the corners of differences across is the central difference of the means.
@@ -65,7 +66,7 @@ def cell_fields(grid, walls, velocity):
     return np.stack(components, axis=-1), vorticity
 
 
-def _ghosted(grid, walls, velocity):
+def _ghosted(grid, sides, velocity):
     """The faces of this rank's cells: u with a row more below and above, v with columns."""
     local = grid.velocity_dm.createLocalVec()
     grid.velocity_dm.globalToLocal(velocity, local)
@@ -80,13 +81,18 @@ def _ghosted(grid, walls, velocity):
         return values[first - gy : last - gy, low - gx : high - gx, slot]
 
     def beyond(side, along, inside):
-        return 2 * walls.tangential[side][along] - inside
+        # Counted on over a periodic side.
+        wall = sides.tangential[side].take(range(along.start, along.stop), mode="wrap")
+        return 2 * wall - inside
 
-    south, north = rows.start == 0, rows.stop == grid.n
+    def at(side, place, end):
+        return side in sides.tangential and place == end
+
+    south, north = at("bottom", rows.start, 0), at("top", rows.stop, grid.n)
     u = part(rows.start - (not south), rows.stop + (not north), x.start, x.stop, left)
     below = [beyond("bottom", x, u[0])] if south else []
     above = [beyond("top", x, u[-1])] if north else []
-    west, east = columns.start == 0, columns.stop == grid.m
+    west, east = at("left", columns.start, 0), at("right", columns.stop, grid.m)
     v = part(y.start, y.stop, columns.start - (not west), columns.stop + (not east), down)
     before = [beyond("left", y, v[:, 0])] if west else []
     behind = [beyond("right", y, v[:, -1])] if east else []
@@ -146,7 +152,7 @@ class Series:
             law = problem.membranes.law("tension")
             tension = law.tension(state.stretch) if law else np.zeros_like(state.stretch)
             datasets += [
-                _real("vesicle_0/X", state.markers, (count, 2)),
+                _real("vesicle_0/X", _at_home(grid, state.markers), (count, 2)),
                 files.Dataset("vesicle_0/edges", edges, (count, 2)),
                 _real("vesicle_0/tension", tension, (count,)),
                 _real("vesicle_0/stretch", state.stretch, (count,)),
@@ -194,6 +200,11 @@ class Series:
             + _attribute("tension", "Scalar", _item(frame, "vesicle_0/tension", count))
             + _attribute("stretch", "Scalar", _item(frame, "vesicle_0/stretch", count))
         )
+
+
+def _at_home(grid, markers):
+    """Markers moved by whole periods so that their middle is in the box; its sides may cut them."""
+    return markers + grid.way_home(markers.mean(axis=0)) if len(markers) else markers
 
 
 def _real(path, values, shape, box=None):
