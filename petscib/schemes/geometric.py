@@ -51,7 +51,7 @@ class Geometric(StageScheme):
         acceleration = Anderson(ANDERSON_DEPTH)
         interpolation = problem.interpolation(state.markers) if self.theta == 1 else None
         change, passes, iterations = 1.0, 0, 0
-        least = min(LAST_FRACTION * self.controls.picard_rtol, system.rtol)
+        least = LAST_FRACTION * self.controls.picard_rtol
 
         system.begin(self._rhs, stage)
         while change > self.controls.picard_rtol:

@@ -31,6 +31,8 @@ class Alone:
     fluid : Momentum or Stokes
     """
 
+    what = "fluid"
+
     def __init__(self, fluid):
         self.fluid = fluid
         self.ksp = None
@@ -41,11 +43,6 @@ class Alone:
             self.ksp = krylov.create(self._operator.matrix, fluid.prefix, fluid.defaults)
             if not fluid.symmetric:
                 krylov.use_python(self.ksp, FluidPC(fluid))
-
-    @property
-    def rtol(self):
-        """Relative tolerance of a solve."""
-        return self.ksp.getTolerances()[0] if self.ksp else 0.0
 
     def mult(self, x, y):
         """y = A x."""

@@ -60,6 +60,8 @@ class Elimination:
         Without the kink correction: precondition by a factorisation of the whole matrix.
     """
 
+    what = "fluid, membrane stresses eliminated"
+
     def __init__(self, fluid, membranes, kernel, literal=False):
         self.fluid, self.literal = fluid, literal
         self.block = StressBlock(fluid.prefix + "stress_")
@@ -75,11 +77,6 @@ class Elimination:
         if literal and not fluid.symmetric:
             self._direct = LiteralPC(fluid)
             krylov.use_python(self.ksp, self._direct)
-
-    @property
-    def rtol(self):
-        """Relative tolerance of a solve."""
-        return self.ksp.getTolerances()[0]
 
     def begin(self, rhs, stage):
         """Take right-hand side and first guess."""

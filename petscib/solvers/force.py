@@ -113,6 +113,8 @@ class Force:
     kernel : Kernel
     """
 
+    what = "membrane stresses, fluid solved exactly"
+
     def __init__(self, fluid, membranes, kernel):
         self.fluid = fluid
         self.model = MarkerModel(membranes.curves, fluid.grid, kernel, fluid.rho, fluid.mu,

@@ -25,7 +25,7 @@ class Operator:
     vector : PETSc.Vec
         Any vector of its layout.
     action
-        Its method mult(x, y) sets y to the product with x.
+        Its method mult(x, y) sets y to the product with x; its `what` says what the unknowns are.
     """
 
     def __init__(self, vector, action):
@@ -37,6 +37,10 @@ class Operator:
     def mult(self, matrix, x, y):
         """What PETSc calls."""
         self.action.mult(x, y)
+
+    def view(self, matrix, viewer):
+        """What PETSc calls for -ksp_view."""
+        viewer.printfASCII(f"    unknowns: {self.action.what}\n")
 
     def changed(self):
         """Tell PETSc that the matrix is another now."""
@@ -61,11 +65,6 @@ def blocks_of(vector):
 def vector_on_root(count, comm):
     """New zero vector with `count` entries on the first rank and none on the others."""
     return PETSc.Vec().createMPI((count if comm.rank == 0 else 0, PETSc.DETERMINE), comm=comm)
-
-
-def is_conjugate_gradients(prefix, default):
-    """Whether the type of a KSP will be one for symmetric positive definite systems."""
-    return "cg" in PETSc.Options(prefix).getString("ksp_type", default)
 
 
 def use_python(ksp, context):

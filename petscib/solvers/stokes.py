@@ -44,6 +44,10 @@ class Stokes(Momentum):
         width = min(self.grid.dx, self.grid.dy)
         return self.rho * width / self.interval + self.mu / width
 
+    def elimination_pays(self, interval):
+        """Never: the system is indefinite."""
+        return False
+
     def blocks(self):
         """New vectors of the unknowns."""
         return [self.grid.velocity_vector(), self.grid.pressure_vector()]

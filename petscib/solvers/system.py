@@ -30,7 +30,6 @@ from dataclasses import dataclass
 import numpy as np
 from petsc4py import PETSc
 
-from . import krylov
 from .alone import Alone
 from .block import Block
 from .elimination import Elimination
@@ -80,23 +79,22 @@ class ImplicitSystem:
     """
 
     def __init__(self, fluid, membranes, kernel, corrected):
-        self.fluid = fluid
-        if membranes is None or not membranes.act:
-            self._iteration = Alone(fluid)
-        elif corrected and krylov.is_conjugate_gradients(
-            fluid.prefix, "cg" if fluid.transform is not None else fluid.defaults["ksp_type"]
-        ):
-            kind = Force if fluid.transform is not None else Elimination
-            self._iteration = kind(fluid, membranes, kernel)
-        elif corrected:
-            self._iteration = Block(fluid, membranes, kernel)
-        else:
-            self._iteration = Elimination(fluid, membranes, kernel, literal=True)
+        self.fluid, self.membranes = fluid, membranes
+        self.kernel, self.corrected = kernel, corrected
+        self._iteration = None
 
-    @property
-    def rtol(self):
-        """Relative tolerance of a solve."""
-        return self._iteration.rtol
+    def _choose(self, interval):
+        """The iteration for a first theta dt = `interval`."""
+        fluid, membranes, kernel = self.fluid, self.membranes, self.kernel
+        if membranes is None or not membranes.act:
+            return Alone(fluid)
+        if not self.corrected:
+            return Elimination(fluid, membranes, kernel, literal=True)
+        exact = fluid.transform is not None
+        default = "cg" if exact or fluid.elimination_pays(interval) else "fgmres"
+        if "cg" not in PETSc.Options(fluid.prefix).getString("ksp_type", default):
+            return Block(fluid, membranes, kernel)
+        return (Force if exact else Elimination)(fluid, membranes, kernel)
 
     def begin(self, rhs, stage):
         """Take the right-hand side b of a time step and first guesses.
@@ -108,7 +106,9 @@ class ImplicitSystem:
         stage : Stage
             Kept, and set by `finish`.
         """
-        self._iteration.begin(rhs, stage)
+        self._rhs, self._stage = rhs, stage
+        if self._iteration is not None:
+            self._iteration.begin(rhs, stage)
 
     def update(self, interval, operators=None, stress=None):
         """Set the system for theta dt = `interval` and a configuration of the membranes.
@@ -121,6 +121,9 @@ class ImplicitSystem:
         stress : ndarray, optional
             m0, that of the step's start.
         """
+        if self._iteration is None:
+            self._iteration = self._choose(interval)
+            self._iteration.begin(self._rhs, self._stage)
         self._iteration.update(interval, operators, stress)
 
     def iterate(self, accuracy=None):
@@ -157,5 +160,6 @@ class ImplicitSystem:
 
     def destroy(self):
         """Free the solvers.  Collective."""
-        self._iteration.destroy()
+        if self._iteration is not None:
+            self._iteration.destroy()
         self.fluid.destroy()
