@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from petscib.membrane.crossings import find_crossing
 from petscib.membrane.curve_files import read_points
-from petscib.membrane.shapes import Spline
+from petscib.membrane.splines import Spline
 
 TURN = 2 * np.pi * np.arange(40) / 40
 CURVE = np.stack((0.4 * np.cos(TURN), 0.3 * np.sin(TURN)), axis=1)
