@@ -7,8 +7,7 @@ from .errors import InputError
 from .fluid.grid import Grid
 from .fluid.operators import Operators
 from .fluid.sides import Sides
-from .membranes import curve_files, mobility, shapes
-from .membranes.crossings import find_crossing
+from .membranes import mobility, shapes
 from .membranes.curves import Curves
 from .membranes.laws import Bending, Tension
 from .membranes.membranes import Membranes
@@ -105,26 +104,34 @@ def _markers(settings, grid, remarks):
 
 def _curve(settings, spacing):
     """Markers of the curve asked for, about `spacing` apart unless counted; length and remark."""
-    if settings.marker_file is None:
-        length = shapes.ellipse_perimeter(settings.axes)
-        count = settings.markers or round(length / spacing)
-        return shapes.ellipse(settings.axes, settings.center, settings.angle, count), length, ""
+    if settings.marker_file is not None:
+        return _curve_from_file(settings, spacing)
+    length = shapes.ellipse_perimeter(settings.axes)
+    count = settings.markers or round(length / spacing)
+    return shapes.ellipse(settings.axes, settings.center, settings.angle, count), length, ""
+
+
+def _curve_from_file(settings, spacing):
+    # What these need of scipy takes some 0.3 s to load: not for an ellipse.
+    from .membranes import curve_files
+    from .membranes.crossings import find_crossing
+    from .membranes.splines import Spline
+
+    def unfit(why):
+        return InputError(
+            f"-marker_file {settings.marker_file}: {why}; allowed: {curve_files.ALLOWED}"
+        )
+
     try:
         points, remark = curve_files.read_points(settings.marker_file)
-        spline = shapes.Spline(points)
+        spline = Spline(points)
     except (OSError, ValueError) as error:
-        raise _unfit(settings, error) from None
+        raise unfit(error) from None
     check_curve(settings, points.min(axis=0), points.max(axis=0), spline.length, ("marker_file",))
     markers = spline.markers(settings.markers or round(spline.length / spacing))
     # The smooth curve goes a little beyond its points.
     low, high = markers.min(axis=0), markers.max(axis=0)
     check_curve(settings, low, high, spline.length, ("marker_file",))
     if find_crossing(markers):
-        raise _unfit(settings, "the smooth curve through the points crosses itself")
+        raise unfit("the smooth curve through the points crosses itself")
     return markers, spline.length, remark and f"-marker_file {settings.marker_file}: {remark}"
-
-
-def _unfit(settings, why):
-    return InputError(
-        f"-marker_file {settings.marker_file}: {why}; allowed: {curve_files.ALLOWED}"
-    )

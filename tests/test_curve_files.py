@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from petscib.membranes.crossings import find_crossing
 from petscib.membranes.curve_files import read_points
-from petscib.membranes.shapes import Spline
+from petscib.membranes.splines import Spline
 
 TURN = 2 * np.pi * np.arange(40) / 40
 CURVE = np.stack((0.4 * np.cos(TURN), 0.3 * np.sin(TURN)), axis=1)

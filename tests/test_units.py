@@ -7,7 +7,6 @@ import runs
 from petscib import options
 from petscib.output import tables
 from petscib.settings import text_of
-from petscib.simulation import Simulation
 
 # Length, time and mass of the run's units, in those of another system: the first has 1 for all.
 SYSTEMS = {
@@ -49,18 +48,13 @@ def factor_of(units, *powers):
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_runs_agree_in_all_units(tmp_path, name):
+def test_runs_agree_in_all_units(tmp_path, name, monkeypatch):
     """Positions, velocities, energies and the default time step, to 1e-10 of their size."""
+    monkeypatch.setattr(runs, "SMALL", {"monitor": "none", "plot": "no"})
     found = {}
     for system, units in {"own": (1.0, 1.0, 1.0), **SYSTEMS}.items():
         folder = tmp_path / system.replace(" ", "_").replace(",", "")
-        simulation = Simulation(options.read({
-            **in_units(CASES[name], units), "output": str(folder), "monitor": "none",
-            "plot": "no"}))
-        try:
-            simulation.run()
-        finally:
-            simulation.destroy()
+        runs.run(folder, **in_units(CASES[name], units))
         length, time, mass = units
         arrays = runs.arrays(folder / "final.h5")
         rows = tables.read(folder / "diagnostics.csv")

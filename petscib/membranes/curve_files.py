@@ -1,8 +1,8 @@
 """Closed curves from text files, as other immersed boundary codes write them.
 
-Read are one point a line, with blanks, tabs, commas or semicolons between x and y; before the points
-their number (IBAMR, IB2d, PetIBM), a line of names, or both; comments after #, % or !; Fortran's
-exponents; and any encoding that agrees with ASCII, with or without a byte order mark.
+Read are one point a line, with blanks, tabs, commas or semicolons between x and y; before the
+points their number (IBAMR, IB2d, PetIBM), a line of names, or both; comments after #, % or !;
+Fortran's exponents; UTF-8, UTF-16 with its byte order mark, and Latin-1.
 """
 
 import codecs

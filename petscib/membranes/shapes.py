@@ -1,9 +1,8 @@
 """Initial shapes: closed curves of markers equally spaced in arclength."""
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
-_PANELS = 4096  # at least, for the quadrature of a length
+PANELS = 4096  # at least, for the quadrature of a length
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 
 
@@ -11,7 +10,7 @@ def _speed(angle, rx, ry):
     return np.hypot(rx * np.cos(angle), ry * np.sin(angle))
 
 
-def _arc(speed, start, stop):
+def arc_length(speed, start, stop):
     """Arclength between parameters (Gauss quadrature, elementwise)."""
     half = (stop - start) / 2
     nodes = (start + half)[..., None] + half[..., None] * _NODES
@@ -20,8 +19,8 @@ def _arc(speed, start, stop):
 
 def ellipse_perimeter(axes):
     """Length of the ellipse with semi-axes (rx, ry)."""
-    edges = np.linspace(0, 2 * np.pi, _PANELS + 1)
-    return _arc(lambda angle: _speed(angle, *axes), edges[:-1], edges[1:]).sum()
+    edges = np.linspace(0, 2 * np.pi, PANELS + 1)
+    return arc_length(lambda angle: _speed(angle, *axes), edges[:-1], edges[1:]).sum()
 
 
 def ellipse(axes, center, angle, count):
@@ -42,8 +41,8 @@ def ellipse(axes, center, angle, count):
     ndarray, shape (M, 2)
     """
     rx, ry = axes
-    edges = np.linspace(0, 2 * np.pi, _PANELS + 1)
-    s = _equal_arcs(lambda angle: _speed(angle, rx, ry), edges, count)
+    edges = np.linspace(0, 2 * np.pi, PANELS + 1)
+    s = equal_arcs(lambda angle: _speed(angle, rx, ry), edges, count)
     turn = np.deg2rad(angle)
     x, y = rx * np.sin(s), ry * np.cos(s)
     return np.stack(
@@ -55,7 +54,7 @@ def ellipse(axes, center, angle, count):
     )
 
 
-def _equal_arcs(speed, edges, count):
+def equal_arcs(speed, edges, count):
     """Parameters, from edges[0] on, that cut a closed curve into `count` pieces of equal length.
 
     Parameters
@@ -66,47 +65,10 @@ def _equal_arcs(speed, edges, count):
         Panels for the quadrature, over one turn.
     count : int
     """
-    sums = np.concatenate(([0], np.cumsum(_arc(speed, edges[:-1], edges[1:]))))
+    sums = np.concatenate(([0], np.cumsum(arc_length(speed, edges[:-1], edges[1:]))))
     target = sums[-1] * np.arange(count) / count
     panel = np.clip(np.searchsorted(sums, target, side="right") - 1, 0, len(edges) - 2)
     s = np.interp(target, sums, edges)
     for _ in range(8):  # Newton's method; the first guess is good to the panel's curvature
-        s -= (sums[panel] + _arc(speed, edges[panel], s) - target) / speed(s)
+        s -= (sums[panel] + arc_length(speed, edges[panel], s) - target) / speed(s)
     return s
-
-
-class Spline:
-    """Periodic cubic spline through points, parametrised by the length of the chords.
-
-    Parameters
-    ----------
-    points : ndarray, shape (N, 2)
-        Corners of a closed polygon.
-
-    Attributes
-    ----------
-    length : float
-        Length of the curve.
-
-    Raises
-    ------
-    ValueError
-        Some points are the same but for round-off.
-    """
-
-    def __init__(self, points):
-        closed = np.concatenate((points, points[:1]))
-        knots = np.concatenate(([0], np.cumsum(np.hypot(*np.diff(closed, axis=0).T))))
-        if (np.diff(knots) <= 0).any():
-            raise ValueError("some points are too close together to draw a curve through them")
-        self._curve = CubicSpline(knots, closed, bc_type="periodic")
-        pieces = -(-_PANELS // len(points))
-        self._edges = np.unique(np.linspace(knots[:-1], knots[1:], pieces + 1))
-        self.length = _arc(self._speed, self._edges[:-1], self._edges[1:]).sum()
-
-    def _speed(self, parameter):
-        return np.linalg.norm(self._curve(parameter, 1), axis=-1)
-
-    def markers(self, count):
-        """Markers equally spaced in arclength, shape (count, 2); the first is the first point."""
-        return self._curve(_equal_arcs(self._speed, self._edges, count))

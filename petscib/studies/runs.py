@@ -205,7 +205,8 @@ def _reason(log, status, exit_status):
         return ours[-1].strip()
     # The exception is the first line after a traceback that is not indented. Without one, what
     # went wrong is said first (by MPI, PETSc or the system), and what came of it later.
-    exception = re.search(r"^Traceback \(most recent call last\):\n(?:[ \t].*\n)*(\S.*)", text, re.M)
+    exception = re.search(
+        r"^Traceback \(most recent call last\):\n(?:[ \t].*\n)*(\S.*)", text, re.M)
     said = re.findall(r"^(?:\[\d+\]PETSC ERROR:)?[ \t]*(?!petscib: )(\w\S* .*)", text, re.M)
     what = exception[1] if exception else said[0] if said else "no message"
     return f"{what.strip()} (exit status {exit_status})"
