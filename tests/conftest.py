@@ -65,6 +65,7 @@ NOISE = re.compile("|".join((
     r"^-{50,}\n(?:(?!-{50,}\n).*\n)*?(?!-{50,}\n).*"
     r"(?:prterun|mpirun|mpiexec|MPI_ABORT|Deprecated variable|Primary job).*\n(?:.*\n)*?-{50,}\n",
     r"^(?:\[\S+\] )?\d+ more process.* sent help message .*\n",
+    r"^\[\S+:\d+\] PMIX ERROR: .*\n",  # of a launcher whose ranks end while it stops them
     r"^(?:\[\S+\] )?Set .*(?:AGGREGATE_HELP|help_aggregate).*\n",
     r"^=+\n= +BAD TERMINATION .*\n(?:=.*\n)+(?:YOUR APPLICATION .*\n)?(?:(?:This|Please) .*\n)*",
 )), re.M)

@@ -36,7 +36,11 @@ def test_serial(kind):
 @pytest.mark.parallel(2)
 @pytest.mark.parametrize("kind", ["cholesky", "lu"])
 def test_parallel(kind):
-    assert comm.allreduce(solve(direct.parallel(), kind, PETSc.COMM_WORLD)) < 1e-11
+    try:
+        package = direct.parallel()
+    except InputError as error:
+        pytest.skip(str(error))
+    assert comm.allreduce(solve(package, kind, PETSc.COMM_WORLD)) < 1e-11
 
 
 @pytest.mark.parametrize("packages, cholesky, lu, parallel", [

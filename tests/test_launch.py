@@ -120,6 +120,7 @@ thus causing the job to be terminated. The first process to do so was:
    Process name: [prterun-host-24@1,0]
    Exit code:    3
 --------------------------------------------------------------------------
+[host:00167] PMIX ERROR: PMIX_ERR_UNREACH in file ../src/server/pmix_server.c at line 3184
 """,
     "6": """\
 --------------------------------------------------------------------------
