@@ -51,10 +51,8 @@ class Number:
         if not re.fullmatch(self.pattern, text, re.ASCII):
             raise ValueError(f"not a {self.noun}")
         value = self.convert(text)
-        if abs(value) > LARGEST:
-            raise ValueError(f"its magnitude is above {text_of(LARGEST)}")
-        if 0 < abs(value) < SMALLEST or value == 0 and re.match("[-+.0]*[1-9]", text):
-            raise ValueError(f"its magnitude is below {text_of(SMALLEST)}")
+        if not math.isfinite(value):
+            raise ValueError("too large")
         below = value <= self.low if self.open_low else value < self.low
         above = value >= self.high if self.open_high else value > self.high
         if below or above:
@@ -388,13 +386,25 @@ def value_of(option, text):
     try:
         if text == "" and not isinstance(option.kind, Flag):
             raise ValueError("needs a value")
-        return option.kind.parse(text)
+        value = option.kind.parse(text)
+        _check_magnitude(option.kind, value)
+        return value
     except ValueError as error:
         names = option.kind.names if isinstance(option.kind, Choice) else ()
         near = difflib.get_close_matches(text.lower(), names, 1)
         raise InputError(f"-{option.name} {_short(text)}".rstrip()
                          + f": {error}; allowed: {option.kind.allowed}"
                          + (f"; nearest: {near[0]}" if near else "")) from None
+
+
+def _check_magnitude(kind, value):
+    """Refuse numbers whose powers and quotients a run could not hold."""
+    each = getattr(kind, "each", kind)
+    for number in value if isinstance(value, tuple) else (value,):
+        if isinstance(number, float) and abs(number) > LARGEST:
+            raise ValueError(f"its magnitude is above {text_of(LARGEST)}")
+        if isinstance(number, float) and each.low == 0 and each.open_low and number < SMALLEST:
+            raise ValueError(f"its magnitude is below {text_of(SMALLEST)}")
 
 
 def _unknown(name, text):

@@ -80,8 +80,8 @@ class Simulation:
             trouble = ours(error)
             if isinstance(trouble, Crash):
                 trouble = InputError(f"PETSc cannot set this up: {trouble}")
-        except BaseException:
-            self.destroy()
+        except BaseException:  # perhaps on this rank alone: nothing collective any more
+            krylov.withdraw_defaults()
             raise
         agreed = self.agreement.meet([trouble is not None], PATIENCE if trouble else None)
         if agreed is None:
@@ -115,7 +115,6 @@ class Simulation:
         # Fixed steps are counted: the round-off in the sum of many must not add one.
         self.last_step = most if settings.ts_adapt else min(steps, most)
         self.wall_seconds_before = self.progress.wall_seconds
-        self.agreement = Agreement(self.comm)
         self.rescue = Rescue(self.comm)
         self.results = Results(settings, self.problem, min(steps, most), header)
 
@@ -446,4 +445,7 @@ class Simulation:
             self.scheme.destroy()
         if self.results is not None:
             self.results.release()
+        if self.agreement is not None:
+            self.agreement.destroy()
+            self.agreement = None
         krylov.withdraw_defaults()

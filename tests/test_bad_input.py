@@ -3,9 +3,10 @@ import os
 
 import numpy as np
 import pytest
+from petsc4py import PETSc
 from runs import SMALL, comm
 
-from petscib import options, restart
+from petscib import options, restart, sources
 from petscib.errors import InputError
 from petscib.simulation import Simulation
 
@@ -17,7 +18,14 @@ def refusal(tmp_path, words):
     before = sorted(os.listdir(tmp_path))
     database = {**SMALL, "output": str(tmp_path / "out"), **words}
     with pytest.raises(InputError) as caught:
-        Simulation(options.read(restart.merge(database, comm)))
+        for name, text in words.items():  # PETSc reads its own from there
+            if options.is_petsc(name):
+                PETSc.Options()[name] = text
+        try:
+            Simulation(options.read(restart.merge(database, comm)))
+        finally:
+            for name in words:
+                PETSc.Options().delValue(name)
     message = str(caught.value)
     assert len(message.splitlines()) == 1 and len(message) < 400
     assert sorted(os.listdir(tmp_path)) == before
@@ -35,6 +43,13 @@ WRONG = [
     ("ts_dt", "-1", "out of range", "number above 0"),
     ("ts_dt", "nan", "not a number"),
     ("ts_dt", "0,1", "not a number"),
+    ("ts_dt", "1e-320", "-ts_dt 1e-320: its magnitude is below 1e-60"),
+    ("axes", "1e-200,0.3", "magnitude is below 1e-60"),
+    ("ts_max_time", "1e300", "its magnitude is above 1e60"),
+    ("shear_rate", "-1e61", "its magnitude is above 1e60"),
+    ("sigma0", "1e300", "its magnitude is above 1e60"),
+    ("poisson_pc_type", "nosuch", "Unable to find requested PC type nosuch"),
+    ("stag_ranks_x", "3", "PETSc cannot set this up: PETSc error 63: "),
     ("ts_max_time", "-1", "out of range"),
     ("ts_max_steps", "1.5", "not a whole number"),
     ("ts_adapt", "yess", "not a switch's value"),
@@ -189,6 +204,66 @@ def test_a_right_marker_file(tmp_path, no_axes, turn):
         np.testing.assert_allclose(simulation.state.stretch, 1, rtol=1e-3)
 
 
+# --- where options come from
+
+SOURCES = {
+    "a plain file": ("a.txt", "# x\n\n-mu 2 # two\n  -fft\n-axes 0.1,0.2\r\n! z\nalias -a -b\n",
+                     None),
+    "a value with a blank": ("a.txt", "-mu 2\n-output my folder\n",
+                             "a.txt, line 2: -output my folder; allowed: one `-name value`"),
+    "a list with blanks": ("a.txt", "-axes 0.1, 0.5\n", "a.txt, line 1: -axes 0.1, 0.5;"),
+    "quotes": ("a.txt", '-output "my folder"\n', "a.txt, line 1: "),
+    "a word": ("a.txt", "mu 2\n", "a.txt, line 1: mu 2; allowed: "),
+    "two options in a line": ("a.txt", "-mu 2 -rho 3\n", "a.txt, line 1: -mu 2 -rho 3;"),
+    "a continued line": ("a.txt", "-output my\\\nfolder\n", "a.txt, line 1: -output my folder"),
+    "bytes": ("a.txt", b"-mu \xff\n", "-options_file a.txt: not a text file"),
+    "zeros": ("a.txt", b"-mu \0\n", "-options_file a.txt: not a text file"),
+    "yaml": ("a.yaml", "mu: 2 # two\naxes: [0.1, 0.2]\nmomentum:\n  ksp_rtol: 1e-8\n"
+             "more:\n  - 1\n", None),
+    "a yaml value with a blank": ("a.yml", "mu: 2\noutput: my folder # here\n",
+                                  "a.yml, line 2: output: my folder; allowed: a value without"),
+    "a quoted yaml value": ("a.yaml", 'output: "my folder"\n', "a.yaml, line 1: "),
+    "a yaml entry": ("a.yaml", "axes:\n  - 0.1 0.2\n", "a.yaml, line 2: - 0.1 0.2"),
+}
+
+
+@pytest.mark.parametrize("name", SOURCES)
+def test_nothing_in_a_file_is_cut_off_in_silence(tmp_path, monkeypatch, name):
+    file, content, message = SOURCES[name]
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / file).write_bytes(content if isinstance(content, bytes) else content.encode())
+    places = [(["-options_file", file], {}), (["-x"], {"PETSC_OPTIONS": f"-options_file {file}"})]
+    if file == "a.txt":
+        os.link(file, ".petscrc")
+        places.append(([], {}))
+        assert sources.check(["-skip_petscrc"], {}) is None
+    else:
+        places.append((["-options_file_yaml", file], {}))
+        places.append((["-options_string_yaml", content], {}))
+        places.append(([], {"PETSC_OPTIONS_YAML": content}))
+    for arguments, environment in places:
+        if message is None:
+            sources.check(arguments, environment)
+            continue
+        with pytest.raises(InputError) as caught:
+            sources.check(arguments, environment)
+        told = str(caught.value)
+        if arguments and "string" not in arguments[0]:
+            told = told.replace(".petscrc", file)
+            assert message.replace("-options_file ", "") in told.replace("-options_file ", "")
+
+
+@pytest.mark.parametrize("text, fragment", [
+    ("-output my folder", "PETSC_OPTIONS: -output my folder: one value without blanks"),
+    ("mu 2", "PETSC_OPTIONS: mu: one value"), ("-mu 2 -fft\n-rho 3", None)])
+def test_nothing_in_the_environment_is_cut_off_in_silence(text, fragment):
+    if fragment is None:
+        return sources.check([], {"PETSC_OPTIONS": text})
+    with pytest.raises(InputError) as caught:
+        sources.check([], {"PETSC_OPTIONS": text})
+    assert str(caught.value).startswith(fragment)
+
+
 # --- the real command line, on 2 ranks
 
 COMMANDS = [
@@ -202,6 +277,12 @@ COMMANDS = [
     (["-restart", "latest"], "no complete checkpoint in out/here"),
     (["-options_file", "bad.options"], "-mu -1: out of range"),
     (["-output", "bad.txt"], "-output bad.txt: bad.txt is a file"),
+    (["-options_file", "none"], "-options_file none: No such file or directory"),
+    (["-options_file", "out"], "-options_file out: No such file or directory"),
+    (["-options_file", "bad.txt"], "bad.txt, line 1: 0 0; allowed: one `-name value` a line"),
+    (["-options_file_yaml", "bad.yaml"], "PETSc cannot read its options: "),
+    (["-stag_ranks_x", "3"], "PETSc cannot set this up: PETSc error 63: "),
+    (["-poisson_pc_type", "nosuch"], "PETSc error 86: Unable to find requested PC type nosuch"),
 ]
 
 
@@ -210,6 +291,7 @@ COMMANDS = [
 def test_the_command_line(mpirun, tmp_path, words, fragments):
     (tmp_path / "bad.txt").write_text("0 0\n0 nan\n")
     (tmp_path / "bad.options").write_text("-mu -1\n")
+    (tmp_path / "bad.yaml").write_text("mu: [\n")
     before = set(os.listdir(tmp_path))
     output = [] if "-output" in words else ["-output", "out/here"]
     result = mpirun(2, "-m", "petscib", *output, *words, check=False, timeout=30)

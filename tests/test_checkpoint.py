@@ -2,10 +2,13 @@
 import json
 import os
 import shutil
+import subprocess
+import sys
 
 import h5py
 import numpy as np
 import pytest
+from conftest import mpi_environment
 from runs import arrays, comm, prepare, run
 
 from petscib.errors import InputError, OutputError
@@ -199,6 +202,27 @@ def test_a_damaged_file_is_refused(good, tmp_path, name):
     assert message.startswith(f"{path}: ") and reason in message
     assert len(message.splitlines()) == 1 and len(message) < 400
     assert not (tmp_path / "out").exists()
+
+
+def test_only_damage_is_called_damage(good, tmp_path):
+    def why(path):
+        with pytest.raises(InputError) as caught:
+            checkpoint.read_header(str(path))
+        return str(caught.value)
+
+    assert why(tmp_path / "none.h5") == f"{tmp_path}/none.h5: No such file or directory"
+    assert why(tmp_path) == f"{tmp_path}: Is a directory"
+    path = tmp_path / "held.h5"
+    shutil.copy(good, path)
+    with h5py.File(path, "r+"):
+        holder = subprocess.run(
+            [sys.executable, "-c", "import sys; from petscib.output import checkpoint\n"
+             "try: checkpoint.read_header(sys.argv[1])\n"
+             "except Exception as error: print(error)", path],
+            stdout=subprocess.PIPE, text=True, env=mpi_environment(HDF5_USE_FILE_LOCKING="TRUE"))
+    assert holder.stdout == f"{path}: locked, another program is writing to it\n"
+    cut(0.5)(path)
+    assert why(path).endswith("(a damaged or cut off checkpoint)")
 
 
 def test_any_cut_is_refused_or_read_whole(good, tmp_path):

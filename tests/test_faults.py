@@ -1,4 +1,5 @@
 """Runs that go wrong: each ends soon, on all ranks, with one line, and can be continued."""
+import errno
 import os
 import signal
 import subprocess
@@ -11,9 +12,13 @@ import h5py
 import numpy as np
 import pytest
 from conftest import mpi_environment, start, stop
-from runs import SMALL, assert_same_run, rows
+from petsc4py import PETSc
+from runs import SMALL, arrays, assert_same_run, prepare, rows, run
 
-from petscib.output import checkpoint
+from petscib import guard, schemes
+from petscib.errors import Crash, InputError, SolveError, WallError, ours
+from petscib.output import checkpoint, lock
+from petscib.solvers import krylov
 
 OPTIONS = [word for name, text in SMALL.items() for word in (f"-{name}", text)]
 # Starts petscib with something broken: the production code has no hook for tests.
@@ -115,16 +120,19 @@ setattr(target, name, deadly)
     assert_goes_on(mpirun, tmp_path, "run")
 
 
-@pytest.mark.parametrize("kind, status", [("SIGINT", 130), ("SIGTERM", 143), ("SIGUSR1", 0)])
-def test_signals_end_a_run_with_a_checkpoint(petscib, tmp_path, kind, status):
-    """Sent by rank 1 to itself within its 3rd step; one rank having it is enough."""
+@pytest.mark.parametrize("kinds, status", [
+    (["SIGINT"], 130), (["SIGTERM"], 143), (["SIGUSR1"], 0), (["SIGUSR1"] * 3, 0),
+    (["SIGTERM"] * 3, 143), (["SIGUSR1", "SIGTERM", "SIGUSR1", "SIGTERM"], 143)])
+def test_signals_end_a_run_with_a_checkpoint(petscib, tmp_path, kinds, status):
+    """Sent by rank 1 to itself within its 3rd step; one rank having them is enough."""
     broken = f"""
 import os, signal
 from petscib import guard
 check = guard.check
 def signalled(problem, state):
     if rank == 1 and state.step == 3:
-        os.kill(os.getpid(), signal.{kind})
+        for kind in {kinds}:
+            os.kill(os.getpid(), getattr(signal, kind))
     return check(problem, state)
 guard.check = signalled
 """
@@ -135,17 +143,46 @@ guard.check = signalled
     assert list(rows(tmp_path / "run")["step"]) == [0, 1, 2, 3]
 
 
-def test_a_second_signal_ends_at_once(tmp_path):
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_sigterm_saves_though_the_step_never_ends(petscib, mpirun, tmp_path, ranks):
+    """As a launcher does it: SIGTERM, and SIGKILL before the step is over."""
+    broken = """
+import os, signal
+from petscib import guard
+check = guard.check
+def killed(problem, state):
+    if rank == 0 and state.step == 4:
+        os.kill(os.getpid(), signal.SIGTERM)
+        os.kill(os.getpid(), signal.SIGKILL)
+    return check(problem, state)
+guard.check = killed
+"""
+    result = petscib(*OPTIONS, "-output", "run", "-ts_max_steps", 500, broken=broken, ranks=ranks)
+    assert result.returncode != 0
+    assert [path.name for path in (tmp_path / "run").glob("*.h5")] == ["checkpoint-00000003.h5"]
+    assert_goes_on(mpirun, tmp_path, "run")
+
+
+def ending(*kinds):
+    """The signal that ends a program after it has got these, if any does."""
     from petscib.interrupt import Interrupt
 
     child = os.fork()
     if child == 0:
         with Interrupt() as interrupt:
-            os.kill(os.getpid(), signal.SIGINT)
-            if interrupt.caught == signal.SIGINT:
-                os.kill(os.getpid(), signal.SIGINT)
+            for kind in kinds:
+                os.kill(os.getpid(), kind)
+                os._exit(1) if interrupt.caught != kind else None
         os._exit(0)
-    assert os.WTERMSIG(os.waitpid(child, 0)[1]) == signal.SIGINT
+    status = os.waitpid(child, 0)[1]
+    assert os.WIFSIGNALED(status) or os.WEXITSTATUS(status) == 0
+    return os.WTERMSIG(status)
+
+
+def test_only_a_second_ctrl_c_ends_at_once():
+    assert ending(signal.SIGINT) == 0
+    assert ending(signal.SIGINT, signal.SIGINT) == signal.SIGINT
+    assert ending(*[signal.SIGTERM, signal.SIGUSR1] * 3, signal.SIGINT) == 0
 
 
 # --- the disk
@@ -230,36 +267,315 @@ guard.check = poison
     assert_goes_on(mpirun, tmp_path, "run")
 
 
-def test_one_rank_raising_ends_the_job(petscib, mpirun, tmp_path):
-    broken = """
+BUGS = {
+    # where the others are meanwhile: at the agreement, in the step, in the next output, nowhere
+    "checks": """
 from petscib import guard
-check = guard.check
-def fall(problem, state):
+whole, rank_of_it = guard.check, 1
+def broken(problem, state):
     if state.step == 3 and rank == 1:
-        raise ZeroDivisionError("a bug")
-    return check(problem, state)
-guard.check = fall
+        raise ZeroDivisionError("a bug\\nin two lines")
+    return whole(problem, state)
+guard.check = broken
+""",
+    "the step": """
+import numpy as np
+from petscib.problem import Problem
+whole, calls = Problem.interpolation, []
+def broken(self, markers):
+    calls.append(None)
+    if rank == 0 and len(calls) == 3:
+        np.linalg.inv(np.zeros((2, 2)))
+    return whole(self, markers)
+Problem.interpolation = broken
+""",
+    "PETSc": """
+from petsc4py import PETSc
+from petscib.problem import Problem
+whole, calls = Problem.interpolation, []
+def broken(self, markers):
+    calls.append(None)
+    if rank == 1 and len(calls) == 3:
+        matrix = PETSc.Mat().createDense((3, 3), comm=PETSc.COMM_SELF)
+        matrix.mult(*matrix.createVecs())
+    return whole(self, markers)
+Problem.interpolation = broken
+""",
+    "the diagnostics": """
+from petscib.diagnostics import Diagnostics
+whole = Diagnostics.row
+def broken(self, state, *arguments):
+    if state.step == 2 and rank == 0:
+        raise IndexError("beyond the end")
+    return whole(self, state, *arguments)
+Diagnostics.row = broken
+""",
+}
+TEXTS = {
+    "checks": "ZeroDivisionError: a bug in two lines (on rank 1)",
+    "the step": "LinAlgError: Singular matrix (on rank 0)",
+    "PETSc": "PETSc error 73: Not for unassembled matrix (on rank 1)",
+    "the diagnostics": "IndexError: beyond the end (on rank 0)",
+}
+
+
+@pytest.mark.parametrize("where", BUGS)
+def test_one_rank_alone_fails(petscib, mpirun, tmp_path, where):
+    """Whatever the others do: one line, the last good state saved, and where it was raised."""
+    result = petscib(*OPTIONS, "-output", "run", "-ts_max_steps", 8, "-ts_adapt",
+                     broken=BUGS[where])
+    line = one_line(result, 3)
+    for part in ("petscib: step 3 from time 0.166", f"failed: {TEXTS[where]}",
+                 "run/checkpoint-00000002.h5", "run/traceback.txt says where"):
+        assert part in line
+    assert "in broken" in (tmp_path / "run" / "traceback.txt").read_text()
+    if where == "the diagnostics":  # then there is no row of that step
+        mpirun(2, "-m", "petscib", "-restart", "latest", "-output", "run")
+    else:
+        assert_goes_on(mpirun, tmp_path, "run")
+
+
+def test_all_ranks_fail_alike(petscib, mpirun, tmp_path):
+    broken = BUGS["checks"].replace(" and rank == 1", "")
+    line = one_line(petscib(*OPTIONS, "-output", "run", "-ts_max_steps", 8, broken=broken), 3)
+    assert "a bug in two lines; run/traceback.txt" in line
+    assert "the state before it is in run/checkpoint-00000002.h5" in line
+
+
+def test_a_rescued_state_is_the_saved_one(petscib, tmp_path):
+    """What one rank has put together of all ranks' copies, byte for byte, history included."""
+    words = [*OPTIONS, "-scheme", "gcn", "-stag_grid_y", 31, "-fft", "-ts_max_steps", 3]
+    broken = BUGS["the diagnostics"].replace("step == 2", "step == 3")
+    assert petscib(*words, "-output", "whole", "-checkpoint_every", 3, "-ts_max_steps", 4,
+                   ranks=3).returncode == 0
+    one_line(petscib(*words, "-output", "rescued", broken=broken, ranks=3), 3)
+    first, second = (arrays(tmp_path / name / "checkpoint-00000003.h5")
+                     for name in ("whole", "rescued"))
+    assert first.keys() == second.keys() and any("history" in name for name in first)
+    for name, values in first.items():
+        np.testing.assert_array_equal(second[name], values, err_msg=name)
+
+
+# --- Python code that PETSc calls
+
+PRECONDITIONERS = """
+class Slow:
+    def apply(self, pc, x, y):
+        x.copy(y)
+
+class Wrong(Slow):
+    def apply(self, pc, x, y):
+        self.nothing
+
+class Unmade(Slow):
+    def __init__(self):
+        self.nothing
+
+class Failing(Slow):
+    def apply(self, pc, x, y):
+        from petscib.errors import SolveError
+        raise SolveError("the inner solve failed")
 """
-    begin = time.monotonic()
-    result = petscib(*OPTIONS, "-output", "run", "-ts_max_steps", 8, "-checkpoint_every", 1,
-                     broken=broken)
-    assert time.monotonic() - begin < 20
-    assert result.returncode == 1 and result.stderr.count("Traceback") == 1
-    assert "ZeroDivisionError: a bug" in result.stderr
-    assert_goes_on(mpirun, tmp_path, "run")
 
 
-def test_pictures_that_fail_are_a_warning(petscib, tmp_path):
-    broken = """
+@pytest.mark.parametrize("name, status, parts", [
+    ("Wrong", 3, ["AttributeError: 'Wrong' object has no attribute 'nothing'", "checkpoint-"]),
+    ("Failing", 3, ["the inner solve failed; try a smaller", "checkpoint-"]),
+    ("Nobody", 2, ["-poisson_pc_python_type preconditioners.Nobody: preconditioners has no"]),
+])
+def test_preconditioners_of_the_user(petscib, tmp_path, name, status, parts):
+    (tmp_path / "preconditioners.py").write_text(PRECONDITIONERS)
+    result = petscib(*OPTIONS, "-output", "run", "-ts_max_steps", 2, "-poisson_pc_type", "python",
+                     "-poisson_pc_python_type", f"preconditioners.{name}")
+    line = one_line(result, status)
+    for part in parts:
+        assert part in line
+    assert (tmp_path / "run" / "checkpoint-00000000.h5").exists() == (status == 3)
+
+
+def test_a_preconditioner_that_cannot_be_made_is_no_bad_input(petscib, tmp_path):
+    (tmp_path / "preconditioners.py").write_text(PRECONDITIONERS)
+    result = petscib(*OPTIONS, "-output", "run", "-poisson_pc_type", "python",
+                     "-poisson_pc_python_type", "preconditioners.Unmade")
+    assert result.returncode == 1 and "has no attribute 'nothing'" in result.stderr
+
+
+class PetscError(RuntimeError):
+    """As petsc4py's: a code, and C's stack as text."""
+
+    ierr = 101
+
+    def __str__(self):
+        return "error code 101\n[0] KSPSolve() at ksp.c:1\n[0] PCApply() at pc.c:2\n[0] a cause"
+
+
+@pytest.mark.parametrize("inner, kind, text", [
+    (SolveError("no"), SolveError, "no"),
+    (InputError("no"), InputError, "no"),
+    (AttributeError("no x"), Crash, "AttributeError: no x"),
+    (None, Crash, "PETSc error 101: a cause"),
+])
+def test_what_newer_petsc4py_wraps(inner, kind, text):
+    """Since 3.19 the cause comes inside an error of PETSc's, perhaps several deep."""
+    error = PetscError()
+    if inner is not None:
+        error.__cause__ = PetscError()
+        error.__cause__.__cause__ = inner
+    found = ours(error)
+    assert type(found) is kind and str(found) == text
+    assert found.__cause__ is None and found.__context__ is None
+
+
+def test_a_solve_that_failed_within_another_can_be_tried_again(petscib, tmp_path):
+    """PETSc lets nobody into a preconditioner whose Python code has raised twice."""
+    (tmp_path / "preconditioners.py").write_text(PRECONDITIONERS)
+    result = petscib(*OPTIONS, "-output", "run", "-ts_max_steps", 2, "-ts_adapt",
+                     "-poisson_pc_type", "python", "-poisson_pc_python_type",
+                     "preconditioners.Failing")
+    *attempts, line = result.stderr.splitlines()
+    assert result.returncode == 3 and len(attempts) == 9
+    assert all("failed: the inner solve failed; trying" in attempt for attempt in attempts)
+    assert "run/checkpoint-00000000.h5" in line
+
+
+# --- the walls
+
+def test_a_vesicle_that_is_carried_to_the_outlet(petscib, tmp_path):
+    words = ["-scene", "poiseuille", "-stag_grid_x", 64, "-ts_dt", 0.25, "-ts_max_time", 20,
+             "-fft", "-plot", "no", "-monitor", "none", "-output", "run"]
+    line = one_line(petscib(*words), 3)
+    assert "the vesicle has come to the wall x = 3, where the box ends: marker " in line
+    assert "a larger -domain" in line and "-ts_dt" not in line
+
+
+def test_a_guess_beyond_the_walls_is_a_failed_step(petscib, tmp_path):
+    words = ["-stag_grid_x", 24, "-axes", "0.2,0.3", "-scheme", "gcn", "-flow", "extensional",
+             "-shear_rate", 20, "-center", "0.2,0", "-ts_dt", 0.06, "-ts_max_time", 1,
+             "-plot", "no", "-monitor", "none", "-output", "run"]
+    assert " from time 0 failed: " in one_line(petscib(*words), 3)
+    result = petscib(*words, "-ts_adapt")
+    *attempts, line = result.stderr.splitlines()
+    assert result.returncode == 3 and all("; trying " in one for one in attempts[1:])
+    assert "is in run/checkpoint-" in line and "from time 0.0" in line
+
+
+def test_thrown_markers_are_told_from_those_that_arrive(tmp_path):
+    simulation = prepare(tmp_path / "run")
+    markers = simulation.state.markers
+    simulation.destroy()
+    guard.check_markers(simulation.problem, markers)
+    with pytest.raises(WallError, match="the wall y = -1, where the box ends"):
+        guard.check_markers(simulation.problem, markers - (0, 0.6))
+    for moved in (markers + (3, 0), 30 * markers):
+        with pytest.raises(SolveError, match="was thrown to") as caught:
+            guard.check_markers(simulation.problem, moved)
+        assert not isinstance(caught.value, WallError)
+    with pytest.raises(SolveError, match="no longer finite"):
+        guard.check_markers(simulation.problem, markers * np.nan)
+
+
+# --- outputs that fail
+
+@pytest.mark.parametrize("stream", [1, 2])
+@pytest.mark.parametrize("sink", ["a full disk", "a reader that has gone"])
+def test_a_run_does_not_depend_on_being_heard(tmp_path, stream, sink):
+    if sink == "a full disk":
+        if not os.path.exists("/dev/full"):
+            pytest.skip("no /dev/full here")
+        write = os.open("/dev/full", os.O_WRONLY)
+    else:
+        read, write = os.pipe()
+        os.close(read)
+    streams = {1: subprocess.DEVNULL, 2: subprocess.DEVNULL, stream: write}
+    for monitor in ("log", "bar"):
+        words = [*OPTIONS, "-monitor", monitor, "-output", monitor, "-ts_max_steps", 3]
+        result = subprocess.run([sys.executable, "-m", "petscib", *map(str, words)], cwd=tmp_path,
+                                env=mpi_environment(), stdout=streams[1], stderr=streams[2])
+        assert result.returncode == 0
+        assert (tmp_path / monitor / "summary.json").exists()
+    os.close(write)
+
+
+@pytest.mark.parametrize("error", ["ValueError", "RuntimeError", "AssertionError"])
+def test_pictures_that_fail_are_a_warning(petscib, tmp_path, error):
+    broken = f"""
 from petscib.output import plots
 def fail(folder):
-    raise ValueError("no ink")
+    raise {error}("no ink")
 plots.plot_all = fail
 """
     result = petscib(*OPTIONS, "-plot", "yes", "-output", "run", "-ts_max_steps", 1,
                      broken=broken)
-    assert one_line(result, 0) == "petscib: not all pictures could be drawn: no ink"
+    line = one_line(result, 0)
+    assert line.startswith("petscib: not all pictures could be drawn: ") and "no ink" in line
     assert (tmp_path / "run" / "summary.json").exists()
+
+
+def test_a_scheme_that_cannot_be_built_leaves_no_options(tmp_path, monkeypatch):
+    def fail(*arguments):
+        krylov.set_defaults("momentum_", {"ksp_left_over": "1"})
+        raise RuntimeError("no such thing")
+
+    monkeypatch.setattr(schemes, "create", fail)
+    with pytest.raises(RuntimeError, match="no such thing"):
+        prepare(tmp_path / "run")
+    assert not PETSc.Options().hasName("momentum_ksp_left_over")
+    assert not (tmp_path / "run").exists()
+
+
+# --- two runs, one folder
+
+def test_a_folder_in_use_is_refused(tmp_path):
+    first = prepare(tmp_path / "run", ts_max_steps="2")
+    before = (tmp_path / "run" / "diagnostics.csv").read_bytes()
+    with pytest.raises(InputError, match=f"in use by process {os.getpid()} on .* since 2") as caught:
+        prepare(tmp_path / "run")
+    assert str(caught.value).startswith(f"{tmp_path}/run: ")
+    assert (tmp_path / "run" / "diagnostics.csv").read_bytes() == before
+    first.run()
+    first.destroy()
+    run(tmp_path / "run", ts_max_steps="1")
+
+
+def test_the_second_of_two_runs_is_refused_while_the_first_lives(petscib, mpirun, tmp_path):
+    """Started by the first in its step, with a launcher of its own; after kill -9 it is let in."""
+    broken = f"""
+import os, signal
+from petscib import guard
+def check(problem, state):
+    if rank == 0 and state.step == 2:
+        problem.grid.comm.tompi4py()
+        open("waiting", "w").close()
+    while state.step == 2:
+        pass
+guard.check = check
+"""
+    (tmp_path / "driver.py").write_text(DRIVER.format(broken))
+    words = [*OPTIONS, "-output", "run", "-ts_max_steps", 4]
+    process = start(2, ["driver.py", *words], cwd=tmp_path, env=mpi_environment(),
+                    stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        while not (tmp_path / "waiting").exists():
+            assert process.poll() is None
+            time.sleep(0.05)
+        held = (tmp_path / "run" / "diagnostics.csv").read_bytes()
+        second = mpirun(1, "-m", "petscib", *words, check=False)
+        assert "run: in use by process " in one_line(second, 2)
+        assert (tmp_path / "run" / "diagnostics.csv").read_bytes() == held
+    finally:
+        for rank in children(process.pid):
+            os.kill(rank, signal.SIGKILL)
+        stop(process)
+    mpirun(1, "-m", "petscib", *words)
+
+
+def test_a_file_system_without_locks_is_said(tmp_path, monkeypatch, capfd):
+    def flock(file, how):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(lock.fcntl, "flock", flock)
+    run(tmp_path / "run", ts_max_steps="1")
+    assert "its file system has no locks" in capfd.readouterr().err
 
 
 def test_options_that_no_solver_reads_are_named(petscib):

@@ -197,6 +197,15 @@ def test_without_tqdm_the_bar_becomes_a_log(monkeypatch):
     assert "tqdm" in stream.getvalue()
 
 
+@pytest.mark.parametrize("name", ["none", "log", "bar"])
+def test_a_monitor_that_never_began_can_warn_and_close(name):
+    stream = io.StringIO()
+    display = monitor.create(name, stream)
+    display.write("petscib: something")
+    display.close()
+    assert stream.getvalue() == "petscib: something\n"
+
+
 def test_unknown_monitor_is_refused():
     with pytest.raises(ValueError, match="bar, log or none"):
         monitor.create("loud")

@@ -171,6 +171,61 @@ def test_a_new_run_keeps_the_results_of_the_one_before(finished, capfd):
     with h5py.File(finished / "previous" / "final.h5") as file:
         assert file.attrs["step"] == 2
     assert not list((finished / "previous").glob("checkpoint-*"))
+    np.testing.assert_equal(arrays(finished / "previous-1" / "final.h5"), before)
+
+
+def test_a_run_that_went_on_in_previous_is_kept(finished):
+    run(finished, ts_max_steps="2")
+    run(finished / "previous", restart="latest", ts_max_steps="8")
+    continued = arrays(finished / "previous" / "final.h5")
+    for _ in range(2):
+        run(finished, ts_max_steps="1")
+    np.testing.assert_equal(arrays(finished / "previous-1" / "final.h5"), continued)
+    run(finished, restart=str(finished / "previous-1" / "final.h5"), ts_max_steps="9")
+    np.testing.assert_equal(arrays(finished / "previous-1" / "final.h5"), continued)
+    assert list(rows(finished)["step"]) == list(range(10))
+    # A run that is going on there is not moved away beneath.
+    going_on = prepare(finished / "previous", ts_max_steps="1")
+    with pytest.raises(InputError, match="previous: in use by process"):
+        run(finished, ts_max_steps="1")
+    going_on.destroy()
+
+
+def test_files_of_the_user_are_left_alone(tmp_path):
+    theirs = ["notes.part", "thesis.png", "animation.key", "checkpoint-good.h5",
+              "checkpoint-1.h5", "fields-mine.h5", "summary.json.bak", "previous-work"]
+    ours = ["checkpoint-00000007.h5.part", "outlines.png.part", "diagnostics.csv.part"]
+    for name in (*theirs, *ours, "animation.gif", "outlines.png"):
+        (tmp_path / name).write_text(name)
+    (tmp_path / "previous").mkdir()
+    (tmp_path / "previous" / "mine.txt").write_text("kept")
+    for _ in range(3):
+        run(tmp_path, ts_max_steps="1")
+    for name in theirs:
+        assert (tmp_path / name).read_text() == name
+    assert not any((tmp_path / name).exists() for name in ours)
+    assert (tmp_path / "previous-1" / "mine.txt").read_text() == "kept"
+    assert (tmp_path / "previous-2" / "animation.gif").read_text() == "animation.gif"
+    assert (tmp_path / "previous-2" / "outlines.png").read_text() == "outlines.png"
+
+
+def test_the_default_folder_does_not_matter_to_a_restart_elsewhere(finished, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "out").write_text("a file where out/tanktreading would be")
+    file = str(finished / "checkpoint-00000004.h5")
+    run(tmp_path / "again", restart=file)
+    assert_same_run(finished, tmp_path / "again")
+    assert restart.merge({"restart": file}, comm)["output"] == str(finished)
+
+
+@pytest.mark.parallel([1, 2])
+def test_a_wider_delta_function_near_a_wall_is_refused(tmp_path):
+    words = {"center": "0.5,0", "ts_max_steps": "2"}
+    run(tmp_path / "run", delta="roma3", **words)
+    file = str(tmp_path / "run" / "final.h5")
+    message = refusal(tmp_path / "other", restart=file, delta="bspline65", ts_max_steps="4")
+    assert message.startswith("-delta bspline65: the vesicle has come to the wall x = 1")
+    assert file in message
 
 
 def test_a_marker_file_need_not_be_there_any_more(tmp_path, monkeypatch):
