@@ -22,9 +22,9 @@ from .errors import InputError
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 # Names under which a machine with several MPIs has their launchers.
 NAMES = "mpiexec", "mpiexec.openmpi", "mpiexec.mpich", "mpiexec.hydra", "mpirun", "orterun"
-# More ranks than cores are fine; two jobs at a time must not be bound to the same core; ranks that
-# wait give way to those that compute; our own message about what went wrong is enough (which
-# versions 5 and 6 cannot be told).  Each version warns of the names that the one before it had.
+# More ranks than cores are fine; two jobs at a time must not be bound to the same core; our own
+# message about what went wrong is enough (which versions 5 and 6 cannot be told).  Each version warns
+# of the names that the one before it had.
 _OPEN_MPI = {
     4: {
         "OMPI_MCA_rmaps_base_oversubscribe": "1",
@@ -89,7 +89,7 @@ def _find_launcher():
         path = shutil.which(name, path=os.pathsep.join(folders))
         if path and _is_open_mpi(_output(path, "--version")) == _is_open_mpi(_library()):
             return path
-    kind = _library().splitlines()[0].split(",")[0]
+    kind = " ".join(_library().splitlines()[0].split(",")[0].split())
     raise InputError(f"no mpiexec of {kind}, which mpi4py uses, was found; MPIEXEC may name it")
 
 
@@ -102,6 +102,8 @@ def environment():
     settings = {"OMP_NUM_THREADS": "1"}  # the ranks are the parallelism
     if _is_open_mpi(_library()):
         version = int(re.search(r"Open MPI v?(\d+)", _library())[1])
+        # Ranks that wait give way to those that compute.  Main job on two busy cores, seconds a step:
+        # 4 ranks 0.2 to 0.5 with it and 29 to 61 without, 2 ranks 0.08 to 0.16 and 0.08 to 0.39.
         settings["OMPI_MCA_mpi_yield_when_idle"] = "1"
         settings.update(_OPEN_MPI[min(max(version, 4), 6)])
         if os.geteuid() == 0:
