@@ -174,6 +174,8 @@ def test_the_damped_start_makes_no_second_solver(tmp_path):
     (["-xdmf_every", "1"], {"petscib.output.xdmf"}), (["-plot", "yes"], {"matplotlib"}),
     (["-monitor", "bar"], {"tqdm"})])
 def test_modules(words, loaded, mpirun):
+    if "tqdm" in loaded:
+        pytest.importorskip("tqdm")
     lazy = {"scipy.fft", "matplotlib", "tqdm", "petscib.solvers.transforms", "petscib.output.xdmf",
             "petscib.output.plots"}
     arguments = ["-stag_grid_x", "24", "-axes", "0.25,0.4", "-ts_max_steps", "1",
