@@ -294,9 +294,9 @@ class Simulation:
         """
         minutes = self.settings.checkpoint_minutes
         late = minutes and perf_counter() - self.saved_at >= 60 * minutes
-        root = self.comm.rank == 0
+        root, caught = self.comm.rank == 0, self.interrupt.caught
         agreed = self.agreement.meet(
-            [trouble is not None, self.interrupt.caught, root and late, root and self.rescue.is_due],
+            [trouble is not None, caught, root and late, root and self.rescue.is_due],
             max(PATIENCE, self.longest_attempt) if trouble else None,
         )
         if agreed is None:
