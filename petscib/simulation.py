@@ -413,8 +413,9 @@ class Simulation:
 
     def _keep(self):
         """Keep the state for the case that this or another rank fails alone.  Not collective."""
-        with phase("rescue copies"):
-            self.rescue.keep(self.state, self._reached())
+        if self.rescue.wanted:
+            with phase("rescue copies"):
+                self.rescue.keep(self.state, self._reached())
 
     def _reached(self):
         """The progress up to the present state."""
