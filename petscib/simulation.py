@@ -195,7 +195,7 @@ class Simulation:
             last = f"; the last checkpoint is {self.saved_in}" if self.saved_in else ""
             raise OutputError(f"results could not be written: {error}{last}") from None
         finally:
-            self.results.close()
+            self.results.release()
 
     def _run(self, after_step):
         results, settings = self.results, self.settings
