@@ -185,7 +185,7 @@ class Simulation:
             last = f"; the last checkpoint is {self.saved_in}" if self.saved_in else ""
             raise OutputError(f"results could not be written: {error}{last}") from None
         finally:
-            self.results.close()
+            self.results.release()
 
     def _run(self, after_step):
         results, settings = self.results, self.settings
@@ -414,8 +414,9 @@ class Simulation:
 
     def _keep(self):
         """Keep the state for the case that this or another rank fails alone.  Not collective."""
-        with phase("rescue copies"):
-            self.rescue.keep(self.state, self._reached())
+        if self.rescue.wanted:
+            with phase("rescue copies"):
+                self.rescue.keep(self.state, self._reached())
 
     def _reached(self):
         """The progress up to the present state."""
