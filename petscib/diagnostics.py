@@ -13,6 +13,7 @@ COLUMNS = (
     "step",
     "time",
     "dt",
+    "local_error",
     "area",
     "perimeter",
     "area_error",

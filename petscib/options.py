@@ -247,6 +247,9 @@ _ROWS = (
            "`-scene list` explains"),
     Option("ts_max_time", POSITIVE, 1.0, TIME, "end time", "time"),
     Option("ts_max_steps", Whole(), None, TIME, "most steps", automatic="no limit"),
+    Option("ts_rtol", FRACTION, None, TIME, "choose the time step, from ts_dt on, by the error "
+           "that it makes in the markers' positions, relative to the vesicle's size; at most 64 "
+           "ts_dt", automatic="none: fixed time steps"),
     Option("ts_adapt", Flag(), False, TIME, "retry a failed step with half the time step, and "
            "grow it back later"),
 

@@ -29,10 +29,10 @@ class State:
         Positions on rank 0; (0, 2) elsewhere.
     stretch : ndarray, shape (M,)
         Stretching |X_s| that the next step starts from, at the half points; rank 0.
-    history : dict of str to ndarray or PETSc.Vec
+    history : dict of str to ndarray, PETSc.Vec or float
         What a scheme wants to find again at the next step besides, such as earlier marker
-        positions: arrays on rank 0 (without rows elsewhere), velocity or pressure vectors.
-        Every checkpoint holds it.
+        positions: arrays on rank 0 (without rows elsewhere), velocity or pressure vectors, and
+        numbers that all ranks know.  Every checkpoint holds it.
     """
 
     step: int
@@ -58,6 +58,8 @@ class Step:
     ----------
     dt, theta : float
         Time step, and where in it the stage lies (1: its end, 1/2: its middle).
+    order : int
+        Order of the markers' positions in dt.
     start, end : State
         The end has new vectors and arrays; those of the start are untouched.
     stage : PETSc.Vec
@@ -78,6 +80,7 @@ class Step:
 
     dt: float
     theta: float
+    order: int
     start: State
     end: State
     stage: PETSc.Vec
@@ -90,8 +93,15 @@ class Step:
 
     def discard(self):
         """Free the vectors that only this step and its start hold.  Collective."""
-        comm = self.start.velocity.comm
-        self.start.destroy()
+        self._free(self.start)
+
+    def undo(self):
+        """Free the vectors that only this step and its end hold.  Collective."""
+        self._free(self.end)
+
+    def _free(self, state):
+        comm = state.velocity.comm
+        state.destroy()
         for part in self.parts[:-1]:
             part.end.destroy()
         for step in self.parts or (self,):
@@ -211,27 +221,6 @@ class Problem:
             rhs.axpy(self.mu, self.operators.wall_source)
         if self.body_force is not None:
             rhs.axpy(1.0, self.body_force)
-
-    def first_guess(self, state):
-        """The stage velocity, extrapolated from the last two steps (a new vector)."""
-        history = state.history
-        guess = history.get("stage", state.velocity).copy()
-        if "stage_change" in history:
-            guess.axpy(1.0, history["stage_change"])
-        return guess
-
-    @staticmethod
-    def next_history(state, stage):
-        """What the first guess of the next step is made of; takes the stage over."""
-        history = {"stage": stage.velocity}
-        if "stage" in state.history:
-            history["stage_change"] = stage.velocity.copy()
-            history["stage_change"].axpy(-1.0, state.history["stage"])
-        if stage.stress is not None:
-            history["stress"] = stage.stress
-            if "stress" in state.history:
-                history["stress_change"] = stage.stress - state.history["stress"]
-        return history
 
     def account(self, operators, stage, motion):
         """What the energy law asks of the markers' part of a step: fields of the Step."""

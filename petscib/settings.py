@@ -262,6 +262,9 @@ def _check_vesicle(settings, shape_options):
             if name in settings.given and getattr(settings, name):
                 _refuse(settings, (name,), "there is no vesicle (vesicles is 0)",
                         f"-vesicles 1, or no -{name}")
+        if settings.ts_rtol is not None:
+            _refuse(settings, ("ts_rtol",), "there is no vesicle to tell the error by "
+                    "(vesicles is 0)", "-vesicles 1, or no -ts_rtol")
         return
     if settings.marker_file is not None and settings.axes is not None:
         _refuse(settings, ("axes",), "-marker_file gives the shape already", "one of the two")

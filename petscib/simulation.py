@@ -16,6 +16,7 @@ from .diagnostics import Diagnostics
 from .errors import Crash, InputError, OutputError, SolveError, WallError, ours
 from .events import phase, stage
 from .interrupt import Interrupt
+from .localerror import LocalError
 from .output import checkpoint
 from .output.checkpoint import Progress
 from .output.rescue import Rescue
@@ -58,6 +59,7 @@ class Simulation:
         self.interrupt = interrupt or Interrupt()
         self.signal = 0
         self.ledger = None
+        self.missed = None, 1  # local error of the last step, and its order
         self.saved_in = None
         self.began = self.saved_at = perf_counter()
         self.longest_attempt = 0.0
@@ -98,26 +100,33 @@ class Simulation:
         with stage("set-up"), phase("set-up"):
             self.remarks = []
             self.problem, self.state = build_problem(settings, comm, header, self.remarks)
-            self.warning = accuracy.of_flow(settings, self.state.markers)
+            self.warning = ""
+            if settings.ts_rtol is None:
+                self.warning = accuracy.of_flow(settings, self.state.markers)
             on_root(self.comm, lambda: self._check_start(header))
             self._make_scheme()
             self.diagnostics = Diagnostics(self.problem, self.progress.reference or None)
-        reduced = header and self.progress.dt < header.options["ts_dt"]
+            self.local_error = LocalError(self.problem) if settings.ts_rtol is not None else None
+        changed = header and self.progress.dt != header.options["ts_dt"]
         self.step_size = StepSize(
             settings.ts_dt,
             settings.ts_adapt,
-            self.progress.dt if reduced else None,
+            self.progress.dt if changed else None,
             self.progress.good_steps,
+            settings.ts_rtol,
         )
         self.first_step = self.state.step
         left = (settings.ts_max_time - self.state.time) / settings.ts_dt
         steps = self.first_step + math.ceil(left - ROUND_OFF)
         most = math.inf if settings.ts_max_steps is None else settings.ts_max_steps
         # Fixed steps are counted: the round-off in the sum of many must not add one.
-        self.last_step = most if settings.ts_adapt else min(steps, most)
+        fixed = settings.ts_rtol is None and not settings.ts_adapt
+        self.last_step = min(steps, most) if fixed else most
         self.wall_seconds_before = self.progress.wall_seconds
         self.rescue = Rescue(self.comm)
-        self.results = Results(settings, self.problem, min(steps, most), header)
+        # Nobody knows how many steps a tolerance takes, but that they are few.
+        expected = min(steps, most) if settings.ts_rtol is None else 1
+        self.results = Results(settings, self.problem, expected, header)
         self.shown = ShownPressure(self.problem, settings.fft)
 
     def _make_scheme(self):
@@ -233,12 +242,19 @@ class Simulation:
         return left if left < (1 - ROUND_OFF) * dt else dt
 
     def _advance(self):
-        """Take a step, with -ts_adapt in as many attempts as it needs.  Collective."""
+        """Take a step, with -ts_adapt or -ts_rtol in as many attempts as it needs.  Collective."""
         while True:
             dt = self._next_dt()
             step, error = self._attempt(dt)
             if error is None:
-                break
+                if self.step_size.allows(self.missed[0]):
+                    break
+                if not self.step_size.repeat(dt, *self.missed):
+                    raise self._failure(SolveError(
+                        f"its local error, {self.missed[0]:.1e}, is above -ts_rtol "
+                        f"{self.settings.ts_rtol:g}, and smaller time steps are not allowed"))
+                step.undo()
+                continue
             retry = isinstance(error, SolveError) and not isinstance(error, Crash)
             if not (retry and self.step_size.reject(dt)):
                 raise self._failure(error)
@@ -252,7 +268,7 @@ class Simulation:
             # Python's objects on several ranks are freed only together.
             gc.collect()
             PETSc.garbage_cleanup()
-        self.step_size.accept()
+        self.step_size.accept(*self.missed)
         self.state = step.end
         self._warn_of_long_steps(step)
         if self.keeping:
@@ -267,7 +283,8 @@ class Simulation:
         begin = perf_counter()
         step, error = self._agreed(self._checked_step, dt)
         asked = self.settings.ledger
-        if error is None and asked != "none" and (asked != "record" or self._has_row(step.end)):
+        good = error is None and self.step_size.allows(self.missed[0])
+        if good and asked != "none" and (asked != "record" or self._has_row(step.end)):
             with phase("ledger"):
                 _, error = self._agreed(self._check_ledger, step)
         self.longest_attempt = max(self.longest_attempt, perf_counter() - begin)
@@ -315,6 +332,8 @@ class Simulation:
         step = self.scheme.step(self.state, dt)
         with phase("checks"):
             guard.check(self.problem, step.end)
+            if self.local_error is not None:
+                self.missed = self.local_error.measure(step)
         return step
 
     def _check_ledger(self, step):
@@ -354,7 +373,7 @@ class Simulation:
 
     def _warn_of_long_steps(self, step):
         """Say once when a step has carried the membrane too far; rank 0 has the markers."""
-        if not self.warning:
+        if not self.warning and self.local_error is None:
             self.warning = accuracy.of_step(step.start.markers, step.end.markers, step.dt)
             if self.warning:
                 self.results.say(f"petscib: {self.warning}")
@@ -380,7 +399,7 @@ class Simulation:
         with phase("diagnostics"):
             row = self.diagnostics.row(self.state, step, self.ledger, largest)
         self.progress.largest_energy = max(largest, row["energy"])
-        row["wall_seconds"] = self._wall_seconds()
+        row["local_error"], row["wall_seconds"] = self.missed[0], self._wall_seconds()
         self._output(self.results.record, row, self.state)
 
     def _write_fields(self):

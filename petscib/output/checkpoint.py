@@ -10,8 +10,8 @@ Attributes of the root:
 format_version      1
 petscib_version     of the program that wrote it
 step, time          of the state
-dt                  time step to go on with (-ts_dt unless -ts_adapt has reduced it)
-good_steps          accepted steps since `dt` last changed (-ts_adapt)
+dt                  time step to go on with (-ts_dt unless -ts_adapt or -ts_rtol has changed it)
+good_steps          accepted steps since `dt` last changed
 scheme              name of the scheme
 options             every option as JSON, names to values; ``given`` lists those the user gave
 solver_options      the options under the solvers' prefixes that the user gave, names to texts, JSON
@@ -38,8 +38,8 @@ step, and ``initial_area`` and ``initial_perimeter``, to which the errors in dia
 
 /history holds what a scheme carries from step to step besides (`State.history`): a dataset for an
 array of the markers or half points, a group with u and v for a velocity, a group with p for a
-pressure.  /fluid/p jumps across membranes that keep their area; /history/bare_pressure, from which
-a restart goes on, does not.
+pressure, an attribute for a number.  /fluid/p jumps across membranes that keep their area;
+/history/bare_pressure, from which a restart goes on, does not.
 """
 
 import json
@@ -169,7 +169,10 @@ def save(path, problem, state, settings, progress):
             Dataset("vesicle_0/rest_stretch", problem.membranes.rest_stretch, (count,), **ratio),
         ]
     for name, value in state.history.items():
-        datasets += _history(f"history/{name}", grid, comm, value)
+        if isinstance(value, float):
+            attributes.setdefault("/history", {})[name] = value
+        else:
+            datasets += _history(f"history/{name}", grid, comm, value)
     write_hdf5(path, comm, datasets, attributes)
 
 
@@ -312,6 +315,8 @@ def load_state(header, grid, markers, stretch):
 
     def read(file):
         parts.update(_read_parts(file["fluid"], grid))
+        if "history" in file:
+            history.update((name, value.item()) for name, value in file["history"].attrs.items())
         for name, item in file.get("history", {}).items():
             if isinstance(item, h5py.Group):
                 history[name] = _read_parts(item, grid)

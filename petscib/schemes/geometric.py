@@ -5,8 +5,10 @@ import numpy as np
 from ..errors import SolveError
 from ..events import phase
 from ..solvers.anderson import Anderson
+from .history import expected, remembered
 from .stage import StageScheme
 
+MOTION = "marker_velocity"  # in the history: U, which carries the markers
 # Tolerance of a pass, relative to the change of the positions in the pass before ...
 INNER_FRACTION = 0.005
 # ... and at least, relative to that of the tangent iteration.  Were the last passes less accurate,
@@ -47,7 +49,9 @@ class Geometric(StageScheme):
         """Take one step from `state`.  Collective.  Returns a Step."""
         problem, system = self.problem, self.system
         stress, stage = problem.stress(state), self.begin(state, dt)
-        guess = state.markers + dt * self._extrapolated(state.history)
+        time = self.time(state, dt)
+        guess = state.markers + dt * expected(
+            state.history, MOTION, time, np.zeros_like(state.markers))
         acceleration = Anderson(ANDERSON_DEPTH)
         interpolation = problem.interpolation(state.markers) if self.theta == 1 else None
         change, passes, iterations = 1.0, 0, 0
@@ -87,17 +91,13 @@ class Geometric(StageScheme):
             **problem.account(operators, stage, motion),
             iterations={"coupled": iterations, "picard": passes},
         )
-        history, before = step.end.history, state.history.get("marker_velocity")
-        history["marker_velocity"] = motion
-        if before is not None:
-            history["marker_velocity_change"] = motion - before
+        step.end.history.update(remembered(state.history, time, **{MOTION: motion}))
         return step
 
-    @staticmethod
-    def _extrapolated(history):
-        """Velocity of the markers to be expected from the last two steps."""
-        change = history.get("marker_velocity_change", 0.0)
-        return history.get("marker_velocity", 0.0) + change
+    @property
+    def order(self):
+        """Of the markers' positions in dt."""
+        return 2 if self.theta < 1 else 1
 
     def _move(self, interpolation, markers):
         if interpolation is not None:

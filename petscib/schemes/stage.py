@@ -4,6 +4,7 @@ from ..events import phase
 from ..pressure import JUMP
 from ..problem import State, Step
 from ..solvers.system import ImplicitSystem, Stage
+from .history import expected, remembered
 
 
 class StageScheme:
@@ -29,6 +30,7 @@ class StageScheme:
     """
 
     advice = "try a smaller -ts_dt"
+    order = 1  # of the markers' positions in dt: in most, the force acts where they have been
 
     def __init__(self, problem, theta, fluid, acts=True):
         self.problem = problem
@@ -46,11 +48,16 @@ class StageScheme:
             Extrapolated from the last two steps.
         """
         self.problem.fluid_rhs(state, self.theta * dt, self._rhs)
+        history, time = state.history, self.time(state, dt)
         stress = self.problem.stress(state)
-        guess = state.history.get("stress", stress)
-        if "stress_change" in state.history:
-            guess = guess + state.history["stress_change"]
-        return Stage(self.problem.first_guess(state), state.pressure.copy(), guess)
+        if stress is not None:
+            stress = expected(history, "stress", time, stress)
+        velocity = expected(history, "stage", time, state.velocity)
+        return Stage(velocity, state.pressure.copy(), stress)
+
+    def time(self, state, dt):
+        """When the stage of a step takes place."""
+        return state.time + self.theta * dt
 
     def end_velocity(self, state, stage):
         """u^n + (w - u^n) / theta, a new vector."""
@@ -81,7 +88,10 @@ class StageScheme:
         """
         problem = self.problem
         markers, stretch = state.markers, state.stretch
-        history = problem.next_history(state, stage)
+        known = {"stage": stage.velocity}
+        if stage.stress is not None:
+            known["stress"] = stage.stress
+        history = remembered(state.history, self.time(state, dt), **known)
         if operators is not None:
             with phase("marker motion"):
                 markers = problem.keep_areas(markers + dt * motion)
@@ -92,7 +102,8 @@ class StageScheme:
                 history[JUMP] = operators.projector.component(force)
         end = State(state.step + 1, state.time + dt, velocity, stage.pressure, markers, stretch,
                     history)
-        return Step(dt, self.theta, state, end, stage.velocity, marker_velocity=motion, **rest)
+        return Step(dt, self.theta, self.order, state, end, stage.velocity, marker_velocity=motion,
+                    **rest)
 
     def destroy(self):
         """Free the solver."""
