@@ -32,7 +32,8 @@ PATIENCE = 5.0  # seconds that a rank which has failed waits for the others, or 
 
 def _controls(settings):
     return schemes.Controls(
-        settings.startup, settings.picard_rtol, settings.picard_max_it, settings.fft)
+        settings.startup, settings.picard_rtol, settings.picard_max_it, settings.fft,
+        settings.ts_dt)
 
 
 class Simulation:
@@ -401,6 +402,8 @@ class Simulation:
         self.saved_at = perf_counter()
         self.saved_in = self._output(
             lambda: self.results.save(self.shown.state(self.state), self._reached(), name))
+        if self.scheme is not None:
+            self.scheme.forget()
         return self.saved_in
 
     def _save_at_once(self):

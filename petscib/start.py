@@ -7,7 +7,7 @@ from .errors import InputError
 from .fluid.grid import Grid
 from .fluid.operators import Operators
 from .fluid.sides import Sides
-from .membranes import mobility, shapes
+from .membranes import geometry, mobility, shapes
 from .membranes.curves import Curves
 from .membranes.laws import Bending, Tension
 from .membranes.membranes import Membranes
@@ -49,9 +49,11 @@ def build_problem(settings, comm, header=None, remarks=None):
                 rest = np.full_like(stretch, settings.rest_length)
         membranes = Membranes(1, curves, _laws(settings, curves, rest), rest)
         if settings.conserve_area:
-            areas = mobility.areas(curves, markers)
-            if header is not None:  # those of the run's start
-                areas = np.sign(areas) * header.progress.reference["area"]
+            orientations = np.sign(mobility.areas(curves, markers))
+            if header is not None:  # those of the run's start, to the last digit
+                areas = orientations * header.progress.reference["area"]
+            else:
+                areas = orientations * [geometry.area(part) for part in curves.parts(markers)]
     problem = Problem(
         grid,
         Operators(grid, sides),

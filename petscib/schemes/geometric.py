@@ -40,7 +40,7 @@ class Geometric(StageScheme):
     """
 
     def __init__(self, problem, theta, solvers, controls):
-        super().__init__(problem, theta, solvers.stokes())
+        super().__init__(problem, theta, solvers.stokes(), solvers.dt)
         self.controls = controls
 
     def step(self, state, dt):

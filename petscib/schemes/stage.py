@@ -24,17 +24,20 @@ class StageScheme:
     problem : Problem
     theta : float
     fluid : Momentum or Stokes
+    dt : float
+        The usual time step.
     acts : bool
         Whether the membranes' forces are in the stage equations.
     """
 
     advice = "try a smaller -ts_dt"
 
-    def __init__(self, problem, theta, fluid, acts=True):
+    def __init__(self, problem, theta, fluid, dt, acts=True):
         self.problem = problem
         self.theta = theta
         self.system = ImplicitSystem(
-            fluid, problem.membranes if acts else None, problem.kernel, problem.kink_correction)
+            fluid, problem.membranes if acts else None, problem.kernel, problem.kink_correction,
+            theta * dt)
         self._rhs = problem.grid.velocity_vector()
 
     def begin(self, state, dt):
@@ -93,6 +96,10 @@ class StageScheme:
         end = State(state.step + 1, state.time + dt, velocity, stage.pressure, markers, stretch,
                     history)
         return Step(dt, self.theta, state, end, stage.velocity, marker_velocity=motion, **rest)
+
+    def forget(self):
+        """Drop what depends on earlier steps and is in no checkpoint."""
+        self.system.forget()
 
     def destroy(self):
         """Free the solver."""

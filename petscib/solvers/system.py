@@ -76,19 +76,19 @@ class ImplicitSystem:
     kernel : Kernel
     corrected : bool
         Whether the kink correction is on.
+    interval : float
+        The usual theta dt, by which the default iteration is chosen.
     """
 
-    def __init__(self, fluid, membranes, kernel, corrected):
-        self.fluid, self.membranes = fluid, membranes
-        self.kernel, self.corrected = kernel, corrected
-        self._iteration = None
+    def __init__(self, fluid, membranes, kernel, corrected, interval):
+        self.fluid = fluid
+        self._iteration = self._choose(membranes, kernel, corrected, interval)
 
-    def _choose(self, interval):
-        """The iteration for a first theta dt = `interval`."""
-        fluid, membranes, kernel = self.fluid, self.membranes, self.kernel
+    def _choose(self, membranes, kernel, corrected, interval):
+        fluid = self.fluid
         if membranes is None or not membranes.act:
             return Alone(fluid)
-        if not self.corrected:
+        if not corrected:
             return Elimination(fluid, membranes, kernel, literal=True)
         exact = fluid.transform is not None
         default = "cg" if exact or fluid.elimination_pays(interval) else "fgmres"
@@ -106,9 +106,7 @@ class ImplicitSystem:
         stage : Stage
             Kept, and set by `finish`.
         """
-        self._rhs, self._stage = rhs, stage
-        if self._iteration is not None:
-            self._iteration.begin(rhs, stage)
+        self._iteration.begin(rhs, stage)
 
     def update(self, interval, operators=None, stress=None):
         """Set the system for theta dt = `interval` and a configuration of the membranes.
@@ -121,9 +119,6 @@ class ImplicitSystem:
         stress : ndarray, optional
             m0, that of the step's start.
         """
-        if self._iteration is None:
-            self._iteration = self._choose(interval)
-            self._iteration.begin(self._rhs, self._stage)
         self._iteration.update(interval, operators, stress)
 
     def iterate(self, accuracy=None):
@@ -158,8 +153,15 @@ class ImplicitSystem:
         self.finish()
         return iterations
 
+    def forget(self):
+        """Drop what depends on earlier steps and is in no checkpoint.
+
+        When this is called as one is written, a restart from it is the uninterrupted run.
+        """
+        if isinstance(self._iteration, Force):
+            self._iteration.forget()
+
     def destroy(self):
         """Free the solvers.  Collective."""
-        if self._iteration is not None:
-            self._iteration.destroy()
+        self._iteration.destroy()
         self.fluid.destroy()
