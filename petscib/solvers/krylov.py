@@ -172,6 +172,8 @@ def solve(ksp, rhs, solution, what, advice):
     SolveError
         On every rank, when the solve does not converge.
     """
+    if rhs.getType() == "nest":
+        rhs.stateIncrease()  # set through its parts: PETSc must not take its norm for known
     ksp.solve(rhs, solution)
     diverged = ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_DTOL
     if diverged and ksp.getInitialGuessNonzero():
