@@ -48,11 +48,14 @@ class Stage:
         Over all cells; only the coupled system sets it.
     stress : ndarray
         m, on rank 0; without entries elsewhere.
+    load : ndarray, shape (M, 2), or 0
+        Given forces on the markers at the stage, which the fluid's right-hand side holds already.
     """
 
     velocity: PETSc.Vec
     pressure: PETSc.Vec
     stress: np.ndarray
+    load: np.ndarray = 0.0
 
 
 class ImplicitSystem:
@@ -81,7 +84,7 @@ class ImplicitSystem:
     def __init__(self, fluid, membranes, kernel, corrected):
         self.fluid, self.membranes = fluid, membranes
         self.kernel, self.corrected = kernel, corrected
-        self._iteration = None
+        self._iteration = self._version = None
 
     def _choose(self, interval):
         """The iteration for a first theta dt = `interval`."""
@@ -121,10 +124,22 @@ class ImplicitSystem:
         stress : ndarray, optional
             m0, that of the step's start.
         """
+        if self.membranes is not None and self.membranes.varies:
+            self._follow(stress)
         if self._iteration is None:
             self._iteration = self._choose(interval)
             self._iteration.begin(self._rhs, self._stage)
         self._iteration.update(interval, operators, stress)
+
+    def _follow(self, stress):
+        """Start anew where the membranes have got other stresses."""
+        version = self.fluid.grid.comm.tompi4py().bcast(self.membranes.version)
+        if version != self._version and self._iteration is not None:
+            self._iteration.destroy()
+            self._iteration = None
+            if len(stress) != len(self._stage.stress):  # in the middle of a step
+                self._stage.stress = stress
+        self._version = version
 
     def iterate(self, accuracy=None):
         """Solve so far that the markers' motion holds.  Returns the iterations.
