@@ -3,6 +3,7 @@
 import numpy as np
 
 from ..events import phase
+from ..pressure import JUMP
 from ..problem import State, Step
 from ..solvers.system import ImplicitSystem, Stage
 
@@ -122,12 +123,15 @@ class StageScheme:
         """
         problem = self.problem
         markers, stretch = state.markers, state.stretch
+        history = problem.next_history(state, stage)
         if operators is not None:
             with phase("marker motion"):
                 markers = problem.keep_areas(markers + dt * motion)
                 stretch = problem.next_stretch(state, dt, markers, rest.get("stress_rate"))
             operators.interpolation.destroy()
-        history = problem.next_history(state, stage)
+            if operators.projector is not None and stage.stress is not None:
+                force = operators.force(stage.stress) + stage.load
+                history[JUMP] = operators.projector.component(force)
         end = State(state.step + 1, state.time + dt, velocity, stage.pressure, markers, stretch,
                     history)
         return Step(dt, self.theta, state, end, stage.velocity, marker_velocity=motion, **rest)
