@@ -448,13 +448,18 @@ def _unknown(name, text):
             + (f"; nearest: -{near}" if near else ""))
 
 
+def nearest(name, names):
+    """The one of some names that is most like another, or None."""
+    near = difflib.get_close_matches(name, names, 1, 0.5)
+    return near[0] if near else None
+
+
 def _nearest(name):
     """The known option most like an unknown one, or None."""
     word, _, rest = name.partition("_")
     number, base = split(name)
     if number is not None:
-        near = difflib.get_close_matches(base, OWN, 1, 0.5)
-        return f"vesicle_{number}_{near[0] if near else OWN[0]}"
+        return f"vesicle_{number}_{nearest(base, OWN) or OWN[0]}"
     if word in ("ksp", "pc"):
         return "momentum_" + name  # every solve here has a prefix
     for solver in _SOLVER_WORDS:

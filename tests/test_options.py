@@ -460,13 +460,14 @@ def test_any_text_is_read_or_refused_in_one_line(database):
 @pytest.mark.parametrize("name", scenes.SCENES)
 def test_every_scene_reads(name):
     scene = scenes.SCENES[name]
-    assert set(scene.settings) <= set(options.TABLE) - {"scene", "ts_dt"}
+    assert all(map(options.option_of, scene.settings))
+    assert not {"scene", "ts_dt"} & set(scene.settings)
     settings = options.read({"scene": name})
     for option, value in scene.settings.items():
         got = getattr(settings, option)
         assert got == value and type(got) is type(value), option
         # A scene's values obey the table too.
-        assert KINDS[option].parse(text_of(value)) == value, option
+        assert options.option_of(option).kind.parse(text_of(value)) == value, option
     assert 0 < settings.ts_dt < settings.ts_max_time
 
 
