@@ -262,7 +262,7 @@ def test_extra_state_survives(tmp_path):
     pressure.setRandom()
     markers = np.random.default_rng(1).random((5, 2))
     state.history.update(earlier=markers, flow=velocity, load=pressure)
-    progress = Progress(1.0, reference={"area": 1.0, "perimeter": 1.0})
+    progress = Progress(1.0, reference={"area": [1.0], "perimeter": [1.0]})
     path = simulation.results.save(state, progress)
     again = prepare(tmp_path / "b", restart=path).state.history
     np.testing.assert_array_equal(again["earlier"], markers)

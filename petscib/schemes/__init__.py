@@ -74,10 +74,10 @@ class Solvers:
 
 def _geometric(problem, theta, solvers, controls):
     membranes = problem.membranes
-    # Without tension or projector there is nothing to average, and only Crank-Nicolson iterates
+    # With linear laws and no projector there is nothing to average, and only Crank-Nicolson iterates
     # on where the markers are.
     if membranes is None or (
-        theta == BACKWARD_EULER and membranes.law("tension") is None and not problem.conserve_area
+        theta == BACKWARD_EULER and membranes.linear and not problem.conserve_area
     ):
         return Coupled(problem, theta, solvers)
     return Geometric(problem, theta, solvers, controls)

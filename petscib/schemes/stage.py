@@ -1,5 +1,7 @@
 """What the schemes share: a stage velocity is solved for, and all else follows from it."""
 
+import numpy as np
+
 from ..events import phase
 from ..pressure import JUMP
 from ..problem import State, Step
@@ -38,22 +40,62 @@ class StageScheme:
         self.system = ImplicitSystem(
             fluid, problem.membranes if acts else None, problem.kernel, problem.kink_correction,
             theta * dt)
-        self._rhs = problem.grid.velocity_vector()
+        self._rhs, self._load = problem.grid.velocity_vector(), None
+        if problem.loaded:
+            self._load = problem.grid.velocity_vector()
 
-    def begin(self, state, dt):
+    def begin(self, state, dt, markers=None):
         """Set the fluid's part of the right-hand side, and the first guess.  Collective.
+
+        Parameters
+        ----------
+        state : State
+        dt : float
+        markers : ndarray, shape (M, 2), optional
+            Where given forces act; by default, at the step's start.
 
         Returns
         -------
         Stage
             Extrapolated from the last two steps.
         """
-        self.problem.fluid_rhs(state, self.theta * dt, self._rhs)
-        stress = self.problem.stress(state)
-        guess = state.history.get("stress", stress)
-        if "stress_change" in state.history:
-            guess = guess + state.history["stress_change"]
-        return Stage(self.problem.first_guess(state), state.pressure.copy(), guess)
+        problem = self.problem
+        problem.fluid_rhs(state, self.theta * dt, self._rhs)
+        stress, history, load = problem.stress(state), state.history, 0.0
+        if "stress" in history:
+            fixed = history["stress"] + history.get("stress_change", 0.0)
+            stress = np.concatenate((fixed, stress[len(fixed) :]))
+        if problem.loaded:
+            load = problem.membranes.load(state.time + self.theta * dt)
+            self._load.zeroEntries()
+            problem.spread_load(load, state.markers if markers is None else markers, self._load)
+            self._rhs.axpy(1.0, self._load)
+        return Stage(problem.first_guess(state), state.pressure.copy(), stress, load)
+
+    def free_stress(self, state, dt, stage, operators):
+        """m0: the stresses at the stage, but for what their own forces do."""
+        problem = self.problem
+        stress = problem.stress(state)
+        if problem.acted_on and problem.membranes.move:
+            stress = stress + self.theta * problem.stress_drift(state, dt)
+        if problem.loaded and operators.slip is not None:
+            slip = operators.slip_velocity(stage.load)
+            stress = stress + self.theta * dt * operators.rate(slip)
+        return stress
+
+    def marker_velocity(self, stage, operators):
+        """U at the stage, after a solve: (M, 2) on rank 0, None without markers.  Collective."""
+        velocity = self.system.marker_velocity()
+        if self.problem.loaded:
+            velocity = velocity + operators.slip_velocity(stage.load)
+        return velocity
+
+    def account(self, state, dt, stage, operators, motion):
+        """Fields of the Step that the energy law asks for.  Collective."""
+        power = 0.0
+        if self.problem.loaded:
+            power = self.problem.grid.cell_area * stage.velocity.dot(self._load)
+        return self.problem.account(state, dt, self.theta, operators, stage, motion, power)
 
     def end_velocity(self, state, stage):
         """u^n + (w - u^n) / theta, a new vector."""
@@ -91,7 +133,7 @@ class StageScheme:
                 stretch = problem.next_stretch(state, dt, markers, rest.get("stress_rate"))
             operators.interpolation.destroy()
             if operators.projector is not None and stage.stress is not None:
-                force = operators.force(stage.stress)
+                force = operators.force(stage.stress) + stage.load
                 history[JUMP] = operators.projector.component(force)
         end = State(state.step + 1, state.time + dt, velocity, stage.pressure, markers, stretch,
                     history)
@@ -105,3 +147,5 @@ class StageScheme:
         """Free the solver."""
         self.system.destroy()
         self._rhs.destroy()
+        if self._load is not None:
+            self._load.destroy()

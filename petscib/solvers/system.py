@@ -48,11 +48,14 @@ class Stage:
         Over all cells; only the coupled system sets it.
     stress : ndarray
         m, on rank 0; without entries elsewhere.
+    load : ndarray, shape (M, 2), or 0
+        Given forces on the markers at the stage, which the fluid's right-hand side holds already.
     """
 
     velocity: PETSc.Vec
     pressure: PETSc.Vec
     stress: np.ndarray
+    load: np.ndarray = 0.0
 
 
 class ImplicitSystem:
@@ -81,8 +84,9 @@ class ImplicitSystem:
     """
 
     def __init__(self, fluid, membranes, kernel, corrected, interval):
-        self.fluid = fluid
-        self._iteration = self._choose(membranes, kernel, corrected, interval)
+        self.fluid, self.membranes = fluid, membranes
+        self._choice = membranes, kernel, corrected, interval
+        self._iteration, self._version = self._choose(*self._choice), None
 
     def _choose(self, membranes, kernel, corrected, interval):
         fluid = self.fluid
@@ -106,6 +110,7 @@ class ImplicitSystem:
         stage : Stage
             Kept, and set by `finish`.
         """
+        self._rhs, self._stage = rhs, stage
         self._iteration.begin(rhs, stage)
 
     def update(self, interval, operators=None, stress=None):
@@ -119,7 +124,20 @@ class ImplicitSystem:
         stress : ndarray, optional
             m0, that of the step's start.
         """
+        if self.membranes is not None and self.membranes.varies:
+            self._follow(stress)
         self._iteration.update(interval, operators, stress)
+
+    def _follow(self, stress):
+        """Start anew where the membranes have got other stresses."""
+        version = self.fluid.grid.comm.tompi4py().bcast(self.membranes.version)
+        if version != self._version:
+            self._iteration.destroy()
+            self._iteration = self._choose(*self._choice)
+            if len(stress) != len(self._stage.stress):  # in the middle of a step
+                self._stage.stress = stress
+            self._iteration.begin(self._rhs, self._stage)
+        self._version = version
 
     def iterate(self, accuracy=None):
         """Solve so far that the markers' motion holds.  Returns the iterations.
