@@ -13,13 +13,14 @@ from petsc4py import PETSc
 from . import accuracy, energy, events, guard, schemes, solver_options
 from .agreement import Agreement, on_rank, on_root
 from .diagnostics import Diagnostics
-from .errors import Crash, InputError, OutputError, SolveError, WallError, ours
+from .errors import Crash, CrossingError, InputError, OutputError, SolveError, WallError, ours
 from .events import phase, stage
 from .interrupt import Interrupt
 from .output import checkpoint
 from .output.checkpoint import Progress
 from .output.rescue import Rescue
 from .output.results import TRACEBACK, Results
+from .pressure import ShownPressure
 from .settings import text_of
 from .solvers import krylov
 from .start import build_problem
@@ -31,7 +32,8 @@ PATIENCE = 5.0  # seconds that a rank which has failed waits for the others, or 
 
 def _controls(settings):
     return schemes.Controls(
-        settings.startup, settings.picard_rtol, settings.picard_max_it, settings.fft)
+        settings.startup, settings.picard_rtol, settings.picard_max_it, settings.fft,
+        settings.ts_dt)
 
 
 class Simulation:
@@ -60,7 +62,7 @@ class Simulation:
         self.saved_in = None
         self.began = self.saved_at = perf_counter()
         self.longest_attempt = 0.0
-        self.scheme = self.results = None
+        self.scheme = self.results = self.shown = None
         self.traceback = ""
         self.writing = False
         comm = comm or PETSc.COMM_WORLD
@@ -97,7 +99,8 @@ class Simulation:
         with stage("set-up"), phase("set-up"):
             self.remarks = []
             self.problem, self.state = build_problem(settings, comm, header, self.remarks)
-            self.warning = accuracy.of_flow(settings, self.state.markers)
+            self.warning = accuracy.of_flow(
+                settings, self.state.markers, self.problem.curves)
             on_root(self.comm, lambda: self._check_start(header))
             self._make_scheme()
             self.diagnostics = Diagnostics(self.problem, self.progress.reference or None)
@@ -117,6 +120,7 @@ class Simulation:
         self.wall_seconds_before = self.progress.wall_seconds
         self.rescue = Rescue(self.comm)
         self.results = Results(settings, self.problem, min(steps, most), header)
+        self.shown = ShownPressure(self.problem, settings.fft)
 
     def _make_scheme(self):
         """The scheme with its solvers, once more after a failure.  Collective."""
@@ -183,14 +187,15 @@ class Simulation:
             last = f"; the last checkpoint is {self.saved_in}" if self.saved_in else ""
             raise OutputError(f"results could not be written: {error}{last}") from None
         finally:
-            self.results.close()
+            self.results.release()
 
     def _run(self, after_step):
         results, settings = self.results, self.settings
         first = self.first_step
         last = self.last_step if self.last_step < math.inf else None
         results.monitor.start(first, self.state.time, settings.ts_max_time, last)
-        for remark in filter(None, [*self.remarks, self.warning]):
+        self.close = guard.near(self.problem, self.state.markers)
+        for remark in filter(None, [*self.remarks, self.warning, self.close]):
             results.say(f"petscib: {remark}")
         with stage("stepping"):
             if settings.restart is None:  # else the row of the first state is there already
@@ -253,6 +258,7 @@ class Simulation:
         self.step_size.accept()
         self.state = step.end
         self._warn_of_long_steps(step)
+        self._warn_of_narrow_gaps()
         if self.keeping:
             self._keep()
         if self._has_row(self.state):
@@ -294,9 +300,9 @@ class Simulation:
         """
         minutes = self.settings.checkpoint_minutes
         late = minutes and perf_counter() - self.saved_at >= 60 * minutes
-        root = self.comm.rank == 0
+        root, caught = self.comm.rank == 0, self.interrupt.caught
         agreed = self.agreement.meet(
-            [trouble is not None, self.interrupt.caught, root and late, root and self.rescue.is_due],
+            [trouble is not None, caught, root and late, root and self.rescue.is_due],
             max(PATIENCE, self.longest_attempt) if trouble else None,
         )
         if agreed is None:
@@ -341,6 +347,8 @@ class Simulation:
         advice = self.scheme.advice
         if isinstance(error, WallError):
             advice = "a larger -domain leaves it room"
+        elif isinstance(error, CrossingError):
+            advice = "a finer grid, a smaller -ts_dt or -contact keeps them apart"
         elif isinstance(error, Crash):
             advice = f"{self.results.path(TRACEBACK)} says where"
         elif isinstance(error, InputError):
@@ -353,9 +361,17 @@ class Simulation:
     def _warn_of_long_steps(self, step):
         """Say once when a step has carried the membrane too far; rank 0 has the markers."""
         if not self.warning:
-            self.warning = accuracy.of_step(step.start.markers, step.end.markers, step.dt)
+            self.warning = accuracy.of_step(
+                step.start.markers, step.end.markers, step.dt, self.problem.curves)
             if self.warning:
                 self.results.say(f"petscib: {self.warning}")
+
+    def _warn_of_narrow_gaps(self):
+        """Say once when two membranes have come too near each other."""
+        if not self.close:
+            self.close = guard.near(self.problem, self.state.markers)
+            if self.close:
+                self.results.say(f"petscib: {self.close}")
 
     def _abandon(self, trouble):
         """End the job: the others wait for what this rank cannot do any more.  Not collective."""
@@ -384,7 +400,7 @@ class Simulation:
     def _write_fields(self):
         every = self.settings.xdmf_every
         if every and self.state.step % every == 0:
-            self._output(self.results.write_fields, self.state)
+            self._output(lambda: self.results.write_fields(self.shown.state(self.state)))
 
     def _save_when_due(self):
         """Do what signals, the clock and the step's number ask for.  Collective."""
@@ -397,7 +413,10 @@ class Simulation:
     def _save(self, name=None):
         """Write a checkpoint.  Returns its path."""
         self.saved_at = perf_counter()
-        self.saved_in = self._output(self.results.save, self.state, self._reached(), name)
+        self.saved_in = self._output(
+            lambda: self.results.save(self.shown.state(self.state), self._reached(), name))
+        if self.scheme is not None:
+            self.scheme.forget()
         return self.saved_in
 
     def _save_at_once(self):
@@ -411,8 +430,9 @@ class Simulation:
 
     def _keep(self):
         """Keep the state for the case that this or another rank fails alone.  Not collective."""
-        with phase("rescue copies"):
-            self.rescue.keep(self.state, self._reached())
+        if self.rescue.wanted:
+            with phase("rescue copies"):
+                self.rescue.keep(self.state, self._reached())
 
     def _reached(self):
         """The progress up to the present state."""
@@ -443,6 +463,8 @@ class Simulation:
         """Free the solvers, before PETSc goes, and forget their defaults."""
         if self.scheme is not None:
             self.scheme.destroy()
+        if self.shown is not None:
+            self.shown.destroy()
         if self.results is not None:
             self.results.release()
         if self.agreement is not None:

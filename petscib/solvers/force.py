@@ -133,9 +133,16 @@ class Force:
         """Relative tolerance of a solve."""
         return self.ksp.getTolerances()[0]
 
+    def forget(self):
+        """Place the window anew at the next step."""
+        if self._near:
+            self._near.destroy()
+            self._near = None
+
     def begin(self, rhs, stage):
         """Take right-hand side and first guess."""
         self.rhs, self.stage = rhs, stage
+        self.model.begin()
         self._free_velocity = None
 
     def update(self, interval, operators, stress):
@@ -158,8 +165,7 @@ class Force:
         """Follow the markers: as a rule, they are still where they see the same faces."""
         matrix = self._near.interpolation(stencil) if self._near and not changed else None
         if self.fluid.grid.comm.tompi4py().bcast(matrix is None):
-            if self._near:
-                self._near.destroy()
+            self.forget()
             self._near = Near(self.fluid, stencil)
             matrix = self._near.interpolation(stencil)
             if self._free_velocity is not None:
@@ -242,8 +248,7 @@ class Force:
         """Free the solver; PETSc calls this too.  Collective."""
         if pc is not None:
             return
-        if self._near:
-            self._near.destroy()
+        self.forget()
         self.model.destroy()
         for part in (self.ksp, self._operator, self._load, self._change, self._base):
             part.destroy()

@@ -37,6 +37,7 @@ class Operator:
     def mult(self, matrix, x, y):
         """What PETSc calls."""
         self.action.mult(x, y)
+        y.stateIncrease()  # set through its parts
 
     def view(self, matrix, viewer):
         """What PETSc calls for -ksp_view."""
