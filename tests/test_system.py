@@ -11,7 +11,7 @@ from petscib.errors import SolveError
 from petscib.fluid.grid import Grid
 from petscib.fluid.operators import Operators
 from petscib.fluid.sides import Sides
-from petscib.membranes import mobility, shapes
+from petscib.membranes import geometry, shapes
 from petscib.membranes.curves import Curves
 from petscib.membranes.laws import Bending, Tension
 from petscib.membranes.membranes import Membranes
@@ -76,7 +76,7 @@ class Case:
                 Bending(lines, np.repeat(RIGIDITY, (24, 16, 11)) if here else 0.0)]
         membranes = Membranes(3, lines, laws, self.here(self.rest))
         self.keeps_areas = corrected or sigma0 < 1e6
-        areas = mobility.areas(lines, self.here(self.markers)) if self.keeps_areas else None
+        areas = geometry.signed_area(self.here(self.markers), lines) if self.keeps_areas else None
         self.problem = Problem(
             self.grid, Operators(self.grid, sides), RHO, MU, membranes, KERNELS["yang"],
             kink_correction=corrected, areas=areas)
@@ -116,12 +116,13 @@ class Case:
                      np.zeros_like(self.stress))
 
     def fluid(self, equations, transforms):
-        solvers = Solvers(self.problem, transforms)
+        solvers = Solvers(self.problem, Controls(fft=transforms))
         return solvers.momentum() if equations == "momentum" else solvers.stokes()
 
-    def system(self, equations, transforms):
-        return ImplicitSystem(self.fluid(equations, transforms), self.problem.membranes,
-                              self.problem.kernel, self.problem.kink_correction)
+    def system(self, equations, transforms, interval=INTERVAL):
+        problem = self.problem
+        return ImplicitSystem(self.fluid(equations, transforms), problem.membranes,
+                              problem.kernel, problem.kink_correction, interval)
 
     def found(self, stage, operators, motion):
         """w, p, U and f on every rank."""
@@ -301,9 +302,7 @@ def test_the_iteration_of_the_momentum_system(transforms, corrected, interval, o
     """By how far momentum diffuses in a step, unless transforms or the user decide."""
     case = Case(corrected=corrected)
     with dense.petsc_options(**option):
-        system = case.system("momentum", transforms)
-        system.begin(case.rhs, case.new_stage())
-        system.update(interval, case.operators(), case.stress)
+        system = case.system("momentum", transforms, interval)
         assert type(system._iteration) is kind
         assert kind is not Elimination or system._iteration.literal is not corrected
         system.destroy()
@@ -317,7 +316,7 @@ def test_without_membranes_the_fluid_is_solved_alone(equations, transforms):
     with options(equations):
         for membranes in (None, Membranes(1, case.problem.membranes.curves, [], case.rest)):
             system = ImplicitSystem(
-                case.fluid(equations, transforms), membranes, case.problem.kernel, True)
+                case.fluid(equations, transforms), membranes, case.problem.kernel, True, INTERVAL)
             stage = case.new_stage()
             count = system.solve(case.rhs, stage, INTERVAL)
             assert type(system._iteration) is Alone and (count == 1) == transforms
