@@ -6,9 +6,13 @@ u^{n+1} in the coupled schemes), U that of the markers and f the forces on them 
     E^{n+1} - E^n = - rho (theta - 1/2) |u* - u^n|^2          inertia
                     - rho dt^2 / 2 |grad phi|^2                projection
                     - mu dt |grad w|^2                         viscous
+                    - dt w . rho N(U) w                        advection
                     - dt f . K f                               kink
                     - dt^2 (theta - 1/2) |C U|^2               tension, bending: law by law
                     + wall power + body power + reset.
+
+In the advection term U is the transport, and N(U) U stands for N(U) w where it is explicit; the
+implicit one is zero unless fluid passes through walls (see `fluid.advection`).
 
 Law by law, |C U|^2 is sigma0 |T U|^2 for the tension and c_b |D_ss U|^2 for bending.  The reset is
 the energy put in when the stretching and the markers that the step predicted are replaced by those
@@ -50,7 +54,7 @@ class Ledger:
 
     Attributes
     ----------
-    inertia, projection, viscous, kink, tension, bending, wall_power, body_power, reset :
+    inertia, projection, viscous, advection, kink, tension, bending, wall_power, body_power, reset :
         float
         The terms above.
     change : float
@@ -60,6 +64,7 @@ class Ledger:
     inertia: float = 0.0
     projection: float = 0.0
     viscous: float = 0.0
+    advection: float = 0.0
     kink: float = 0.0
     tension: float = 0.0
     bending: float = 0.0
@@ -113,6 +118,8 @@ def balance(problem, step):
         ledger.wall_power = mu * dt * area * (operators.wall_norm - drag)
     ledger.viscous = -mu * dt * area * gradient
 
+    if problem.advection is not None:
+        ledger.advection = -dt * area * problem.advection.power(step.transport, stage)
     if problem.body_force is not None:
         ledger.body_power = dt * area * stage.dot(problem.body_force)
 

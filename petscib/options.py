@@ -14,6 +14,7 @@ from typing import Any
 from petscib import scenes
 from petscib.coupling.kernels import KERNELS
 from petscib.errors import InputError
+from petscib.fluid.flows import FLOWS
 from petscib.settings import Settings, check, check_domain, resolve, text_of
 
 # Magnitudes that the sums and products of a run can hold, in whatever units.
@@ -206,7 +207,10 @@ _ROWS = (
            "directions in which the box repeats itself, without walls"),
     Option("rho", POSITIVE, 1.0, FLUID, "density", "mass/area"),
     Option("mu", POSITIVE, 1.0, FLUID, "viscosity", "mass/time"),
-    Option("flow", Choice(("rest", "shear", "extensional", "poiseuille")), "rest", FLUID,
+    Option("advection", Choice(("none", "explicit", "implicit")), "none", FLUID,
+           "whether the flow carries its momentum along (Navier-Stokes), and how that is treated: "
+           "explicit is cheaper, implicit stable at any time step"),
+    Option("flow", Choice(tuple(FLOWS)), "rest", FLUID,
            "background flow: on the walls, and at the start"),
     Option("shear_rate", ANY, 1.0, FLUID, "rate of the background flow (0 at rest)", "1/time"),
     Option("body_force", Numbers(("fx", "fy")), (0.0, 0.0), FLUID,

@@ -4,6 +4,7 @@ import numpy as np
 
 from .coupling.kernels import KERNELS
 from .errors import InputError
+from .fluid.advection import Advection
 from .fluid.grid import Grid
 from .fluid.operators import Operators
 from .fluid.sides import Sides
@@ -52,9 +53,12 @@ def build_problem(settings, comm, header=None, remarks=None):
             areas = mobility.areas(curves, markers)
             if header is not None:  # those of the run's start
                 areas = np.sign(areas) * header.progress.reference["area"]
+    operators, advection = Operators(grid, sides), None
+    if settings.advection != "none":
+        advection = Advection(operators, settings.rho, settings.advection == "implicit")
     problem = Problem(
         grid,
-        Operators(grid, sides),
+        operators,
         settings.rho,
         settings.mu,
         membranes,
@@ -63,6 +67,7 @@ def build_problem(settings, comm, header=None, remarks=None):
         settings.kink_correction,
         areas,
         settings.body_force,
+        advection,
     )
     if header is not None:
         return problem, checkpoint.load_state(header, grid, markers, stretch)

@@ -15,7 +15,8 @@ class StageScheme:
         rho (w - u^n) / (theta dt) + grad p = mu Laplacian w + F[f],    div w = 0,
         f = - C^T m,    m = m0 + theta dt C U,    U = Pi J w + K f,
 
-    without grad p and div w = 0 in the modified schemes; m are the membranes' stresses (see
+    without grad p and div w = 0 in the modified schemes, and with advection rho N(U) w on the left,
+    or rho N(U) U on the right; m are the membranes' stresses (see
     `petscib.membranes.laws`), C U = sqrt(sigma0 ds) T U for the tension.
 
     Parameters
@@ -35,6 +36,8 @@ class StageScheme:
         self.system = ImplicitSystem(
             fluid, problem.membranes if acts else None, problem.kernel, problem.kink_correction)
         self._rhs = problem.grid.velocity_vector()
+        # Where the stage lies ahead of the start, the transport is that of a stage to come.
+        self.extrapolates = problem.advection is not None and theta < 1
 
     def begin(self, state, dt):
         """Set the fluid's part of the right-hand side, and the first guess.  Collective.
@@ -44,7 +47,9 @@ class StageScheme:
         Stage
             Extrapolated from the last two steps.
         """
-        self.problem.fluid_rhs(state, self.theta * dt, self._rhs)
+        ahead = self.theta * dt if self.theta < 1 else 0.0
+        self._transport = self.problem.transport(state, ahead)
+        self.problem.fluid_rhs(state, self.theta * dt, self._rhs, self._transport)
         stress = self.problem.stress(state)
         guess = state.history.get("stress", stress)
         if "stress_change" in state.history:
@@ -86,9 +91,14 @@ class StageScheme:
                 stretch = problem.next_stretch(state, dt, markers, rest.get("stress_rate"))
             operators.interpolation.destroy()
         history = problem.next_history(state, stage)
+        if self.extrapolates:
+            rate = velocity.copy()
+            rate.axpby(-1 / dt, 1 / dt, state.velocity)
+            history["velocity_rate"] = rate
         end = State(state.step + 1, state.time + dt, velocity, stage.pressure, markers, stretch,
                     history)
-        return Step(dt, self.theta, state, end, stage.velocity, marker_velocity=motion, **rest)
+        return Step(dt, self.theta, state, end, stage.velocity, marker_velocity=motion,
+                    transport=self._transport, **rest)
 
     def destroy(self):
         """Free the solver."""

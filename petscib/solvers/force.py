@@ -146,13 +146,16 @@ class Force:
         with phase("marker model"):
             self.model.update(interval, operators)
         self._place(operators.interpolation.stencil, changed)
+        self._operator.changed()
+        self.ksp.setOperators(self._operator.matrix)
+
+    def _answer_rhs(self):
+        """The fluid's answer to the right-hand side, once a `begin`."""
         if self._free_velocity is None:
             self.fluid.solve(self.rhs, self._base)
             area = self.fluid.grid.cell_area
             self._free_power = np.sqrt(abs(area * self.rhs.dot(self._base)))
             self._free_velocity = self._near.gather(self._base)
-        self._operator.changed()
-        self.ksp.setOperators(self._operator.matrix)
 
     def _place(self, stencil, changed):
         """Follow the markers: as a rule, they are still where they see the same faces."""
@@ -188,6 +191,7 @@ class Force:
 
     def iterate(self, accuracy):
         """Solve for the stresses.  Returns the iterations."""
+        self._answer_rhs()
         operators, stress = self.operators, self.stage.stress
         carried = self._carry(self._free_velocity)
         load = self._free + operators.rate(carried)

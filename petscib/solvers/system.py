@@ -21,6 +21,9 @@ symmetric, with A the momentum matrix or the coupled one.  Four iterations solve
 `alone`
     Without membrane forces.
 
+With implicit advection A is not symmetric.  `skew` puts it around `force`, and around `alone` with
+transforms; in the others it is part of A, and FGMRES takes the place of conjugate gradients.
+
 The relative tolerance means the same in all: the power of the error, as the preconditioner tells
 it, relative to that of the right-hand side.
 """
@@ -30,10 +33,17 @@ from dataclasses import dataclass
 import numpy as np
 from petsc4py import PETSc
 
+from ..errors import InputError
 from .alone import Alone
 from .block import Block
 from .elimination import Elimination
 from .force import Force
+from .skew import Skew
+
+# PETSc's Krylov methods for symmetric matrices.
+NEED_SYMMETRY = frozenset((
+    "cg", "fcg", "pipecg", "pipecgrr", "pipecg2", "pipelcg", "pipeprcg", "pipefcg", "groppcg",
+    "nash", "stcg", "gltr", "qcg", "minres", "symmlq", "cr", "pipecr"))
 
 
 @dataclass
@@ -82,9 +92,32 @@ class ImplicitSystem:
         self.fluid, self.membranes = fluid, membranes
         self.kernel, self.corrected = kernel, corrected
         self._iteration = None
+        if fluid.advection is not None:
+            self._refuse_symmetric()
+
+    def _refuse_symmetric(self):
+        """Refuse a Krylov method that needs a symmetric matrix where advection is part of it."""
+        fluid, membranes = self.fluid, self.membranes
+        acts = membranes is not None and membranes.act
+        if fluid.transform is not None and (self.corrected or not acts):
+            return
+        name = PETSc.Options(fluid.prefix).getString("ksp_type", "")
+        if name in NEED_SYMMETRY:
+            raise InputError(
+                f"-{fluid.prefix}ksp_type {name}: implicit advection makes the system "
+                "unsymmetric; allowed: fgmres, gmres, bcgs and others that do without, or -fft"
+            )
 
     def _choose(self, interval):
         """The iteration for a first theta dt = `interval`."""
+        iteration = self._choose_symmetric(interval)
+        around = isinstance(iteration, (Force, Alone)) and self.fluid.transform is not None
+        if around and self.fluid.advection is not None:
+            return Skew(iteration, self.fluid)
+        return iteration
+
+    def _choose_symmetric(self, interval):
+        """The same as far as the system without advection goes."""
         fluid, membranes, kernel = self.fluid, self.membranes, self.kernel
         if membranes is None or not membranes.act:
             return Alone(fluid)
