@@ -1,21 +1,75 @@
 """Implicit advection around the exact solve of the implicit system without it.
 
-With M the symmetric system, membranes included, and N the advection, (M + N) w = b is the fixed
-point of w -> M^{-1} (b - N w).  As N is skew-symmetric but for walls that fluid passes through, the
-Krylov space of M^{-1} N serves well: its minimal residual method, in the form of Anderson
-acceleration, takes as many solves as the conjugate gradients of Concus, Golub & Widlund (1976, 1978)
-for M + N, and does with the walls, and with solves of M that are themselves iterations.
+With M the symmetric system, membranes included, and N the advection, (M + N) w = b is solved by the
+generalised conjugate gradients of Concus & Golub (1976) and Widlund (1978), which need no more than
+solves with M:
+
+    M z = b - (M + N) w_k,    w_{k+1} = w_{k-1} + omega (z + w_k - w_{k-1}),
+    1 / omega = 1 + (r_k . z_k) / (r_{k-1} . z_{k-1} omega_k).
+
+As z + w_k solves M (z + w_k) = b - N w_k, nothing but N is ever multiplied with, and sources and
+stresses of membranes at the start need not be known here: they are in every solve alike, and the
+weights add up to one.  N is skew-symmetric but for walls that fluid passes through; the iteration
+does with those as long as M outweighs them.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 from petsc4py import PETSc
 
 from ..errors import SolveError
-from .anderson import Anderson
 
-# Of the velocity's change by a solve: the ledger then balances to 1e-8 up to CFL 10.
-DEFAULTS = {"ksp_rtol": 1e-9, "ksp_max_it": 200}
-DEPTH = 40
+DEFAULTS = {"ksp_rtol": 1e-6, "ksp_max_it": 200}
+BALANCE = 1e-10  # power of the residual, relative to the kinetic energy over theta dt
+
+
+@dataclass
+class _Iterate:
+    """A solution of M x = load."""
+
+    velocity: PETSc.Vec
+    pressure: PETSc.Vec
+    load: PETSc.Vec
+    stress: np.ndarray = None
+
+    def blend(self, weight, other):
+        """Become (1 - weight) times this and weight times the other."""
+        for name in ("velocity", "pressure", "load"):
+            getattr(self, name).axpby(weight, 1 - weight, getattr(other, name))
+        if other.stress is not None:
+            self.stress = (1 - weight) * self.stress + weight * other.stress
+
+    def destroy(self):
+        """Free its vectors."""
+        for vector in (self.velocity, self.pressure, self.load):
+            vector.destroy()
+
+
+def _balance(now, last, residual, earlier, both):
+    """The share of the last iterate with which the residual has no power, and what is left of it.
+
+    Then the energy law holds whatever the tolerance.
+
+    Parameters
+    ----------
+    now, last : _Iterate
+    residual, earlier : PETSc.Vec
+        Theirs.
+    both : bool
+        Whether there is a last one.
+    """
+    own = now.velocity.dot(residual)
+    if not both or not own:
+        return 0.0, abs(own)
+    mixed, other = now.velocity.dot(earlier), last.velocity.dot(residual)
+    # The power of (1 - s) w + s w_last with (1 - s) r + s r_last, a parabola in s
+    slope = mixed + other - 2 * own
+    bend = own - mixed - other + last.velocity.dot(earlier)
+    root = slope**2 - 4 * own * bend
+    if root < 0:
+        return 0.0, abs(own)
+    return -2 * own / (slope + np.copysign(np.sqrt(root), slope)), 0.0
 
 
 class Skew:
@@ -26,17 +80,19 @@ class Skew:
     inner : Force or Alone
         Solves the system without it.
     fluid : Momentum or Stokes
-        With an advection; its options prefix gives the tolerance, relative to the velocity, and the
-        most solves.
+        With an advection.  Its options prefix gives the tolerance, of the error relative to the
+        velocity, and the most solves.
     """
 
     def __init__(self, inner, fluid):
         self.inner, self.fluid = inner, fluid
-        options = PETSc.Options(fluid.prefix)
+        options, grid = PETSc.Options(fluid.prefix), fluid.grid
         self.rtol = options.getReal("ksp_rtol", DEFAULTS["ksp_rtol"])
         self.most = options.getInt("ksp_max_it", DEFAULTS["ksp_max_it"])
-        self._rhs = fluid.grid.velocity_vector()
-        self._total = fluid.grid.comm.tompi4py().allreduce
+        self._spare = [
+            _Iterate(grid.velocity_vector(), grid.pressure_vector(), grid.velocity_vector())
+            for _ in range(3)]
+        self._residuals = [grid.velocity_vector() for _ in range(2)]
 
     def begin(self, rhs, stage):
         """Take right-hand side and first guess."""
@@ -44,36 +100,75 @@ class Skew:
 
     def update(self, interval, operators, stress):
         """Set the system for a configuration of the membranes."""
+        self.operators = operators
         self.inner.update(interval, operators, stress)
+
+    def _load(self, velocity, load):
+        """Set load = b - N w."""
+        self.rhs.copy(load)
+        self.fluid.advection.add(velocity, load, -1.0)
+
+    def _solve(self, iterate, stress, accuracy):
+        """Solve M x = load from a first guess of the stresses.  Returns the iterations."""
+        iterate.stress = stress
+        self.inner.begin(iterate.load, iterate)
+        iterations = self.inner.iterate(accuracy)
+        self.inner.finish()
+        return iterations
 
     def iterate(self, accuracy):
         """Solve.  Returns the iterations of the inner solves."""
-        velocity, iterations = self.stage.velocity, 0
-        acceleration = Anderson(DEPTH, self._total)
-        guess = velocity.getArray(readonly=True).copy()
+        stage, (residual, earlier) = self.stage, self._residuals
+        now, last, image = self._spare
+        self._load(stage.velocity, now.load)
+        iterations = self._solve(now, stage.stress, accuracy)
+        omega = product_before = None
         for _ in range(self.most):
-            self.rhs.copy(self._rhs)
-            self.fluid.advection.add(velocity, self._rhs, -1.0)
-            self.inner.begin(self._rhs, self.stage)
-            iterations += self.inner.iterate(accuracy)
-            self.inner.finish()
-            image = velocity.getArray(readonly=True).copy()
-            change, size = np.sqrt(self._total(np.array(
-                [np.sum((image - guess) ** 2), np.sum(image**2)])))
-            if change <= (self.rtol if accuracy is None else accuracy) * size:
-                return iterations
-            if not np.isfinite(change):
+            self._load(now.velocity, image.load)
+            residual, earlier = earlier, residual
+            residual.waxpy(-1.0, now.load, image.load)
+            size = now.velocity.norm()
+            share = power = 0.0
+            if accuracy is None:
+                share, power = _balance(now, last, residual, earlier, omega is not None)
+            # As M is at least rho / (theta dt), this bounds what another solve would change.
+            scale = self.fluid.interval / self.fluid.rho
+            error = scale * (abs(1 - share) * residual.norm() + abs(share) * earlier.norm())
+            if error <= (self.rtol if accuracy is None else accuracy) * size and (
+                    scale * power <= BALANCE * size**2):
+                if share:
+                    now.blend(share, last)
+                return self._accept(now, iterations)
+            if not np.isfinite(error):
                 break
-            guess = acceleration.next(guess, image)
-            velocity.getArray()[:] = guess
+            iterations += self._solve(image, now.stress, accuracy)
+            product = residual.dot(image.velocity) - residual.dot(now.velocity)
+            if omega is None:
+                omega, last, now, image = 1.0, now, image, last
+            else:
+                omega = 1 / (1 + product / (product_before * omega))
+                last.blend(omega, image)
+                last, now = now, last
+            product_before = product
         raise SolveError(
             f"{self.fluid.name} solve failed: advection did not converge in {self.most} solves "
-            f"(the velocity still changes by {change / size:.1e}); a smaller -ts_dt may help"
+            f"(relative error {error / size:.1e}); a smaller -ts_dt may help"
         )
 
+    def _accept(self, iterate, iterations):
+        iterate.velocity.copy(self.stage.velocity)
+        iterate.pressure.copy(self.stage.pressure)
+        self.stage.stress = iterate.stress
+        return iterations
+
     def marker_velocity(self):
-        """U of the last solution."""
-        return self.inner.marker_velocity()
+        """U of the last solution, or None without markers."""
+        operators, stress = self.operators, self.stage.stress
+        if operators is None:
+            return None
+        velocity = operators.interpolate(self.stage.velocity)
+        return velocity if stress is None else velocity + operators.slip_velocity(
+            operators.force(stress))
 
     def finish(self):
         """Nothing is left to do."""
@@ -81,4 +176,5 @@ class Skew:
     def destroy(self):
         """Free the solver.  Collective."""
         self.inner.destroy()
-        self._rhs.destroy()
+        for part in (*self._spare, *self._residuals):
+            part.destroy()
