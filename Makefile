@@ -22,7 +22,7 @@ bench:
 
 # make portability SUITE=trixie ARGS='make test': README's commands, or these, on a bare Debian
 portability:
-	@SUITE="$(SUITE)" .ci/portability $(ARGS)
+	@.ci/portability $(ARGS)
 
 lint:
 	@needs="ruff"; $(SETUP); "$$python" -m ruff check

@@ -35,7 +35,8 @@ def versions():
 
 def _mpi():
     """Name and version of the MPI library."""
-    return MPI.Get_library_version().strip("\0").splitlines()[0].split(",")[0]
+    first = MPI.Get_library_version().strip("\0").splitlines()[0].split(",")[0]
+    return " ".join(first.split())
 
 
 def check():

@@ -20,6 +20,7 @@ from .output import checkpoint
 from .output.checkpoint import Progress
 from .output.rescue import Rescue
 from .output.results import TRACEBACK, Results
+from .pressure import ShownPressure
 from .settings import text_of
 from .solvers import krylov
 from .start import build_problem
@@ -60,7 +61,7 @@ class Simulation:
         self.saved_in = None
         self.began = self.saved_at = perf_counter()
         self.longest_attempt = 0.0
-        self.scheme = self.results = None
+        self.scheme = self.results = self.shown = None
         self.traceback = ""
         self.writing = False
         comm = comm or PETSc.COMM_WORLD
@@ -117,6 +118,7 @@ class Simulation:
         self.wall_seconds_before = self.progress.wall_seconds
         self.rescue = Rescue(self.comm)
         self.results = Results(settings, self.problem, min(steps, most), header)
+        self.shown = ShownPressure(self.problem, settings.fft)
 
     def _make_scheme(self):
         """The scheme with its solvers, once more after a failure.  Collective."""
@@ -294,9 +296,9 @@ class Simulation:
         """
         minutes = self.settings.checkpoint_minutes
         late = minutes and perf_counter() - self.saved_at >= 60 * minutes
-        root = self.comm.rank == 0
+        root, caught = self.comm.rank == 0, self.interrupt.caught
         agreed = self.agreement.meet(
-            [trouble is not None, self.interrupt.caught, root and late, root and self.rescue.is_due],
+            [trouble is not None, caught, root and late, root and self.rescue.is_due],
             max(PATIENCE, self.longest_attempt) if trouble else None,
         )
         if agreed is None:
@@ -384,7 +386,7 @@ class Simulation:
     def _write_fields(self):
         every = self.settings.xdmf_every
         if every and self.state.step % every == 0:
-            self._output(self.results.write_fields, self.state)
+            self._output(lambda: self.results.write_fields(self.shown.state(self.state)))
 
     def _save_when_due(self):
         """Do what signals, the clock and the step's number ask for.  Collective."""
@@ -397,7 +399,8 @@ class Simulation:
     def _save(self, name=None):
         """Write a checkpoint.  Returns its path."""
         self.saved_at = perf_counter()
-        self.saved_in = self._output(self.results.save, self.state, self._reached(), name)
+        self.saved_in = self._output(
+            lambda: self.results.save(self.shown.state(self.state), self._reached(), name))
         return self.saved_in
 
     def _save_at_once(self):
@@ -443,6 +446,8 @@ class Simulation:
         """Free the solvers, before PETSc goes, and forget their defaults."""
         if self.scheme is not None:
             self.scheme.destroy()
+        if self.shown is not None:
+            self.shown.destroy()
         if self.results is not None:
             self.results.release()
         if self.agreement is not None:

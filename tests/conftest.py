@@ -91,8 +91,8 @@ def mpirun(tmp_path):
     """Run ``python *args`` under mpiexec in the test's temporary folder.
 
     ``mpirun(ranks, *args, timeout=120, check=True, env={})`` returns a `CompletedProcess` with text
-    in `stdout` and `stderr`, less what the launcher itself has said. With `check` a non-zero exit status fails the test; running out of
-    time always does.
+    in `stdout` and `stderr`, less what the launcher itself has said. With `check` a non-zero exit
+    status fails the test; running out of time always does.
     """
 
     def run(ranks, *args, timeout=TIMEOUT, check=True, env=None):

@@ -1,4 +1,4 @@
-"""The direct solvers offered are there, under the names that this PETSc or another knows them by."""
+"""The direct solvers offered are there, by the names that this PETSc, or another, has for them."""
 import numpy as np
 import pytest
 from petsc4py import PETSc

@@ -3,7 +3,6 @@ import errno
 import os
 import signal
 import subprocess
-import sys
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -528,9 +527,9 @@ def test_a_scheme_that_cannot_be_built_leaves_no_options(tmp_path, monkeypatch):
 def test_a_folder_in_use_is_refused(tmp_path):
     first = prepare(tmp_path / "run", ts_max_steps="2")
     before = (tmp_path / "run" / "diagnostics.csv").read_bytes()
-    with pytest.raises(InputError, match=f"in use by process {os.getpid()} on .* since 2") as caught:
+    with pytest.raises(InputError) as caught:
         prepare(tmp_path / "run")
-    assert str(caught.value).startswith(f"{tmp_path}/run: ")
+    assert str(caught.value).startswith(f"{tmp_path}/run: in use by process {os.getpid()} on ")
     assert (tmp_path / "run" / "diagnostics.csv").read_bytes() == before
     first.run()
     first.destroy()
@@ -538,13 +537,11 @@ def test_a_folder_in_use_is_refused(tmp_path):
 
 
 def test_the_second_of_two_runs_is_refused_while_the_first_lives(petscib, mpirun, tmp_path):
-    """Started by the first in its step, with a launcher of its own; after kill -9 it is let in."""
-    broken = f"""
-import os, signal
+    """And after kill -9 the next one is let in."""
+    broken = """
 from petscib import guard
 def check(problem, state):
     if rank == 0 and state.step == 2:
-        problem.grid.comm.tompi4py()
         open("waiting", "w").close()
     while state.step == 2:
         pass
@@ -575,7 +572,7 @@ def test_a_file_system_without_locks_is_said(tmp_path, monkeypatch, capfd):
 
     monkeypatch.setattr(lock.fcntl, "flock", flock)
     run(tmp_path / "run", ts_max_steps="1")
-    assert "its file system has no locks" in capfd.readouterr().err
+    assert "which cannot be locked" in capfd.readouterr().err
 
 
 def test_options_that_no_solver_reads_are_named(petscib):

@@ -429,10 +429,18 @@ def test_settings_to_text_and_back(database):
     assert again.given == set(database)
 
 
+class Named(float):
+    """A number that says its type, as those of numpy 2 do."""
+
+    def __repr__(self):
+        return f"Named({float(self)!r})"
+
+
 @hypothesis_settings(max_examples=200, deadline=None, derandomize=True, database=None)
 @given(st.floats(allow_nan=False, allow_infinity=False))
 def test_number_text_keeps_every_digit(value):
     assert options.ANY.parse(text_of(value)) == value
+    assert text_of(Named(value)) == text_of(value)
 
 
 @hypothesis_settings(max_examples=300, deadline=None, derandomize=True, database=None)

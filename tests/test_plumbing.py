@@ -1,5 +1,4 @@
 """The plumbing of conftest.py: a fault on any one rank is reported, and nothing hangs."""
-import os
 import pathlib
 import shutil
 import subprocess

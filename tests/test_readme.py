@@ -62,3 +62,10 @@ def test_its_scenes_exist(name):
 @pytest.mark.parametrize("path", re.findall(r"\]\((docs/[^)]+)\)", TEXT))
 def test_its_pictures_exist(path):
     assert (ROOT / path).exists()
+
+
+def test_debians_packages_are_those_that_are_installed():
+    setup = (ROOT / ".ci" / "setup").read_text()
+    names = re.search('debian_packages="([^"]*)"', setup)[1].split()
+    text = (ROOT / "docs" / "install.md").read_text()
+    assert sorted(re.search("apt-get install (.*)", text)[1].split()) == sorted(names)

@@ -1,4 +1,6 @@
-"""Time steps against the paper's equations written out densely, steady flows, and the order."""
+"""Time steps against their equations written out densely, steady flows, and the order."""
+from functools import cache
+
 import dense
 import numpy as np
 import pytest
@@ -8,17 +10,22 @@ from petscib.membranes import geometry
 from petscib.schemes import SCHEMES, Controls, create
 
 DT, RHO, MU, SIGMA0, BENDING, RATE = 0.05, 1.3, 0.7, 50.0, 0.02, 0.8
+IMPLICIT = [name for name in SCHEMES if name != "ep"]
 PROJECTION = ("ep", "mbe", "mcn")  # the others solve for velocity and pressure together
 TIGHT = {f"{solver}_ksp_rtol": 1e-13 for solver in ("momentum", "poisson", "coupled")}
 
 
-def small_problem(stretch, corrected=False):
+# C at 0 and at 45 degrees to the grid: the kink correction's table, with all digits.
+KINK = {"yang": (0.82738223049387, 0.85329142893208), "bspline43": (7 / 15, 0.56657941932623)}
+
+
+def small_problem(stretch, kink=False, area=False, kernel="yang"):
     """Ellipse in extensional flow on 12 x 10 cells; the fluid is disturbed without divergence."""
     problem, state = dense.problem(
         stag_grid_x=12, stag_grid_y=10, domain="-1.5,1.5,-1,1", flow="extensional",
         shear_rate=RATE, axes="0.5,0.33", angle=12, markers=14, rho=RHO, mu=MU, sigma0=SIGMA0,
-        bending=BENDING, rest_length=0.9, stretch=stretch, kink_correction=corrected,
-        conserve_area=corrected)
+        bending=BENDING, rest_length=0.9, stretch=stretch, delta=kernel, kink_correction=kink,
+        conserve_area=area)
     grid = problem.grid
     stream = np.pad(0.03 * np.random.default_rng(1).standard_normal((grid.n - 1, grid.m - 1)), 1)
     disturbance = np.concatenate(((np.diff(stream, axis=0) / grid.dy).ravel(),
@@ -47,14 +54,15 @@ class PaperStep:
         return dense.laplacian_of_flow(
             self.grid, lambda x, y: extensional(x, y, RATE, self.grid.domain), velocity)
 
-    def edges(self):
+    @staticmethod
+    def edges(markers):
         """Difference X_k - X_{k-1}, by loops as in section 2 of the paper."""
-        return np.array([self.markers[k] - self.markers[k - 1] for k in range(len(self.markers))])
+        return np.array([markers[k] - markers[k - 1] for k in range(len(markers))])
 
     def membrane_matrices(self):
         """J (2M x N), F (N x 2M), S (N x M), T (M x N) and A_h (2M x 2M) at the present X."""
         count, ds = len(self.markers), self.ds
-        tangent = [edge / np.hypot(*edge) for edge in self.edges()]
+        tangent = [edge / np.hypot(*edge) for edge in self.edges(self.markers)]
         interpolate = dense.interpolation(self.grid, self.kernel, self.markers)
         spread = ds / (self.grid.dx * self.grid.dy) * interpolate.T
         of_tension = np.zeros((2 * count, count))  # D_s (sigma tau), entry k at k - 1/2
@@ -90,7 +98,7 @@ class PaperStep:
         self.markers = self.markers + displacement.reshape(-1, 2)
         self.stretch = stretch
         if not self.evolve:
-            self.stretch = np.hypot(*self.edges().T) / self.ds
+            self.stretch = np.hypot(*self.edges(self.markers).T) / self.ds
 
     def ep(self):
         interpolate, spread, tension, _, fourth = self.membrane_matrices()
@@ -167,8 +175,156 @@ class PaperStep:
         self.carry_on(velocity, DT * interpolate @ mean, self.stretch + DT * rate @ mean)
 
 
+class CorrectedStep(PaperStep):
+    """One step of an implicit scheme with kink correction and area projector (or without either).
+
+    For each stage, one dense matrix of the fluid's equations and those of the forces F on the
+    markers (per ds), with nothing eliminated.
+    """
+
+    def __init__(self, problem, state, constants, area):
+        super().__init__(problem, state)
+        self.constants, self.corrected = constants, area
+        self.first_area = self.area(self.markers)
+
+    @staticmethod
+    def area(markers):
+        return sum(markers[k - 1, 0] * markers[k, 1] - markers[k, 0] * markers[k - 1, 1]
+                   for k in range(len(markers))) / 2
+
+    def slip(self, markers):
+        """K (2M x 2M): C(m) h_n / (2 mu |X_s|) t t^T at each marker."""
+        count = len(markers)
+        table = np.zeros((2 * count, 2 * count))
+        if self.constants is None:
+            return table
+        straight, diagonal = self.constants
+        for k in range(count):
+            chord = markers[(k + 1) % count] - markers[k - 1]
+            t = chord / np.hypot(*chord)
+            stretching = np.hypot(*chord) / (2 * self.ds)
+            across = -t[1] * self.grid.dx, t[0] * self.grid.dy
+            h = np.hypot(*across)
+            m = np.array(across) / h
+            thickness = straight + 4 * (diagonal - straight) * m[0] ** 2 * m[1] ** 2
+            table[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = (
+                thickness * h / (2 * MU * stretching) * np.outer(t, t))
+        return table
+
+    def normal(self, markers):
+        """N, the gradient of the area: (ds / 2) times D_s X_k + D_s X_{k+1}, turned."""
+        slopes = self.edges(markers) / self.ds
+        both = slopes + np.roll(slopes, -1, axis=0)
+        return self.ds / 2 * np.stack((both[:, 1], -both[:, 0]), axis=1).ravel()
+
+    def projector(self, markers):
+        """Pi (2M x 2M)."""
+        normal = self.normal(markers)
+        table = np.eye(len(normal))
+        return table - np.outer(normal, normal) / (normal @ normal) if self.corrected else table
+
+    def stage(self, theta, guess, coupled):
+        """w, p, Pi J, K F and T, for a tangent between X^n and `guess`; for X^n, at X^n."""
+        grid, inner, step = self.grid, self.inner, theta * DT
+        ahead, behind = self.edges(guess), self.edges(self.markers)
+        lengths = np.hypot(*ahead.T) + np.hypot(*behind.T)
+        rate = dense.surface_divergence((ahead + behind) / lengths[:, None], self.ds)
+        middle = (guess + self.markers) / 2
+        place = middle if theta < 1 else self.markers
+        carry = dense.interpolation(grid, self.kernel, place)
+        slip, projector = self.slip(middle), self.projector(middle)
+        bending = BENDING * dense.fourth_difference(len(guess), self.ds)
+        stiffness = SIGMA0 * rate.T @ rate + bending  # W
+        force = -rate.T @ (SIGMA0 * (self.stretch - self.rest)) - bending @ self.markers.ravel()
+
+        fluid = RHO / step * np.eye(len(self.velocity)) - MU * dense.laplacian(grid)
+        spread = self.ds / (grid.dx * grid.dy) * carry.T @ projector
+        carried = step * stiffness @ projector @ carry
+        load = RHO / step * self.velocity + MU * self.from_walls()
+        walls = self.velocity[~inner]
+        velocities, cells, forces = inner.sum(), len(self.divergence), len(force)
+        nothing = np.zeros
+        if coupled:
+            ones = np.ones((cells, 1))  # with a multiplier for the mean of the pressure
+            matrix = np.block([
+                [fluid[np.ix_(inner, inner)], self.gradient[inner], -spread[inner],
+                 nothing((velocities, 1))],
+                [self.divergence[:, inner], nothing((cells, cells)), nothing((cells, forces)), ones],
+                [carried[:, inner], nothing((forces, cells)),
+                 np.eye(forces) + step * stiffness @ slip, nothing((forces, 1))],
+                [nothing((1, velocities)), ones.T, nothing((1, forces)), nothing((1, 1))]])
+            middle_rows = [-self.divergence[:, ~inner] @ walls], [[0.0]]
+        else:
+            matrix = np.block([
+                [fluid[np.ix_(inner, inner)], -spread[inner]],
+                [carried[:, inner], np.eye(forces) + step * stiffness @ slip]])
+            middle_rows, cells = ([], []), 0
+        answer = np.linalg.solve(matrix, np.concatenate([
+            load[inner] - fluid[np.ix_(inner, ~inner)] @ walls, *middle_rows[0],
+            force - carried[:, ~inner] @ walls, *middle_rows[1]]))
+        w = self.velocity.copy()
+        w[inner] = answer[:velocities]
+        pressure = answer[velocities : velocities + cells]
+        force = answer[velocities + cells : velocities + cells + forces]
+        return w, pressure, projector @ carry, slip @ force, rate
+
+    def shifted(self, markers):
+        """Markers at the area of the start, moved along their N by Newton's method."""
+        if not self.corrected:
+            return markers
+        normal, shift = self.normal(markers).reshape(-1, 2), 0.0
+        for _ in range(4):
+            moved = markers + shift * normal
+            slope = self.normal(moved) @ normal.ravel()
+            shift += (self.first_area - self.area(moved)) / slope
+        return markers + shift * normal
+
+    def advance(self, scheme):
+        """Take a step of mbe, mcn, be, cn, gbe or gcn."""
+        theta, old = 1.0 if scheme.endswith("be") else 0.5, self.velocity
+        guess, change = self.markers, 1.0
+        while change > 1e-13:  # in one pass for the linear schemes
+            w, pressure, carry, slip, rate = self.stage(theta, guess, scheme[0] != "m")
+            motion = carry @ w + slip
+            new = self.markers + DT * motion.reshape(-1, 2)
+            change = np.abs(new - guess).max() if scheme[0] == "g" else 0.0
+            guess = new
+        stretch = self.stretch + DT * rate @ motion
+        velocity = old + (w - old) / theta
+        if scheme[0] == "m":
+            velocity = self.project(velocity, theta * MU)
+            motion = carry @ (theta * velocity + (1 - theta) * old) + slip
+        else:
+            self.pressure = pressure
+        new = self.shifted(self.markers + DT * motion.reshape(-1, 2))
+        self.carry_on(velocity, (new - self.markers).ravel(), stretch)
+
+
 def assert_same(found, expected, tolerance):
     assert np.abs(found - expected).max() <= tolerance * np.abs(expected).max()
+
+
+def assert_steps(problem, state, scheme, expected, controls=None, **options):
+    """Two steps end with the expected velocities, pressures, markers and stretchings."""
+    with dense.petsc_options(**{**TIGHT, **options}):
+        stepper = create(scheme, problem, controls or Controls())
+        for number, (velocity, pressure, markers, stretch) in enumerate(expected, 1):
+            state = stepper.step(state, DT).end
+            assert state.step == number and state.time == pytest.approx(number * DT)
+            found = problem.grid.comm.tompi4py().bcast((state.markers, state.stretch))
+            assert_same(found[0], markers, 1e-10)
+            assert_same(found[1], stretch, 1e-9)
+            assert_same(dense.velocity(problem.grid, state.velocity), velocity, 1e-9)
+            assert_same(dense.pressure(problem.grid, state.pressure), pressure, 1e-9)
+        stepper.destroy()
+
+
+def two_steps(stepper, scheme):
+    answers = []
+    for _ in range(2):
+        scheme()
+        answers.append((stepper.velocity, stepper.pressure, stepper.markers, stepper.stretch))
+    return answers
 
 
 @pytest.mark.parametrize("scheme, stretch", [
@@ -176,22 +332,48 @@ def assert_same(found, expected, tolerance):
     ("mcn", "evolve"), ("be", "recompute"), ("be", "evolve"), ("cn", "recompute"),
     ("cn", "evolve")])
 def test_steps_are_those_of_the_paper(scheme, stretch):
+    """Without kink correction and area projector, by the paper's formulas as they stand."""
     problem, state = small_problem(stretch)
     paper = PaperStep(problem, state)
-    with dense.petsc_options(**TIGHT):
-        stepper = create(scheme, problem)
-        for number in (1, 2):
-            step = stepper.step(state, DT)
-            state = step.end
-            getattr(paper, scheme)()
-            assert state.step == number and state.time == pytest.approx(number * DT)
-            markers, stretching = problem.grid.comm.tompi4py().bcast(
-                (state.markers, state.stretch))
-            assert_same(dense.velocity(problem.grid, state.velocity), paper.velocity, 1e-9)
-            assert_same(dense.pressure(problem.grid, state.pressure), paper.pressure, 1e-9)
-            assert_same(markers, paper.markers, 1e-10)
-            assert_same(stretching, paper.stretch, 1e-10)
-        stepper.destroy()
+    assert_steps(problem, state, scheme, two_steps(paper, getattr(paper, scheme)))
+
+
+@cache
+def corrected_steps(scheme, kernel, kink, area, stretch):
+    problem, state = small_problem(stretch, kink, area, kernel)
+    stepper = CorrectedStep(problem, state, KINK[kernel] if kink else None, area)
+    return two_steps(stepper, lambda: stepper.advance(scheme))
+
+
+# The iterations of `petscib.solvers.system`, by the options that choose them.
+ITERATIONS = {"multigrid": {}, "transforms": {}, "block": {"momentum_ksp_type": "fgmres"}}
+WAYS = [(scheme, way) for scheme in IMPLICIT for way in ITERATIONS
+        if way != "block" or scheme in PROJECTION]
+PARTLY = [(*case, *switches) for case in WAYS for switches in (
+    (True, False), (False, True), (False, False)) if switches[0] or case[1] != "block"]
+
+
+def check_corrected(scheme, kernel, kink, area, way, stretch="recompute"):
+    problem, state = small_problem(stretch, kink, area, kernel)
+    controls = Controls(picard_rtol=1e-12, fft=way == "transforms")
+    assert_steps(problem, state, scheme, corrected_steps(scheme, kernel, kink, area, stretch),
+                 controls, **ITERATIONS[way])
+
+
+@pytest.mark.parametrize("kernel", KINK)
+@pytest.mark.parametrize("scheme, way", WAYS)
+def test_corrected_steps(scheme, way, kernel):
+    check_corrected(scheme, kernel, True, True, way)
+
+
+@pytest.mark.parametrize("scheme, way, kink, area", PARTLY)
+def test_steps_with_one_correction_or_none(scheme, way, kink, area):
+    check_corrected(scheme, "yang", kink, area, way)
+
+
+@pytest.mark.parametrize("scheme", IMPLICIT)
+def test_corrected_steps_with_evolved_stretching(scheme):
+    check_corrected(scheme, "bspline43", True, True, "transforms", "evolve")
 
 
 @pytest.mark.parallel([1, 2])

@@ -1,7 +1,5 @@
 """Interpolation of grid velocity to the markers, and its adjoint, spreading."""
 
-from copy import copy
-
 import numpy as np
 from petsc4py import PETSc
 
@@ -18,8 +16,6 @@ class Stencil:
 
     Attributes
     ----------
-    positions : ndarray, shape (M, 2)
-        Of the markers, from the corner of the box, in cells.
     u, v : (rows, columns, weights)
         Integer arrays of shapes (M, r, 1) and (M, 1, c), and weights (M, r, c), of the x-faces
         and of the y-faces.  Where the box is periodic they are counted from 0 again, wherever the
@@ -30,31 +26,28 @@ class Stencil:
         a, _, c, _ = grid.domain
         x = (markers[:, 0] - a) / grid.dx
         y = (markers[:, 1] - c) / grid.dy
-        self.positions = np.stack((x, y), axis=1)
-        along = (kernel.along, kernel.along_radius)
-        across = (kernel.across, kernel.across_radius)
-        wraps_x, wraps_y = (
-            cells if wraps else None for cells, wraps in zip((grid.m, grid.n), grid.periodic)
+        periods = [cells if wraps else None
+                   for cells, wraps in zip((grid.m, grid.n), grid.periodic)]
+        (x_along, y_along), (x_across, y_across) = (
+            self._lines(np.stack((x, y)) - shift, weight, radius, periods)
+            for shift, weight, radius in (
+                (0.0, kernel.along, kernel.along_radius),
+                (0.5, kernel.across, kernel.across_radius),
+            )
         )
-        self.u = self._product(
-            self._line(y - 0.5, *across, wraps_y), self._line(x, *along, wraps_x))
-        self.v = self._product(
-            self._line(y, *along, wraps_y), self._line(x - 0.5, *across, wraps_x))
-
-    def select(self, markers):
-        """The stencil of some markers, given by their numbers."""
-        part = copy(self)
-        part.positions = self.positions[markers]
-        part.u, part.v = (tuple(array[markers] for array in one) for one in (self.u, self.v))
-        return part
+        self.u = self._product(y_across, x_along)
+        self.v = self._product(y_along, x_across)
 
     @staticmethod
-    def _line(position, weight, radius, period):
-        """Grid lines within `radius` of each position: indices and weights (M, 2 radius)."""
-        first = np.ceil(position - radius).astype(PETSc.IntType)
-        lines = first[:, None] + np.arange(round(2 * radius), dtype=PETSc.IntType)
-        weights = weight(lines - position[:, None])
-        return lines if period is None else lines % period, weights
+    def _lines(positions, weight, radius, periods):
+        """Grid lines within `radius` of each of two coordinates: indices and weights."""
+        first = np.ceil(positions - radius).astype(PETSc.IntType)
+        lines = first[:, :, None] + np.arange(round(2 * radius), dtype=PETSc.IntType)
+        weights = weight(lines - positions[:, :, None])
+        return [
+            (part if period is None else part % period, part_weights)
+            for part, period, part_weights in zip(lines, periods, weights)
+        ]
 
     @staticmethod
     def _product(vertical, horizontal):

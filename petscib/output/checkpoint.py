@@ -38,7 +38,8 @@ step, and ``initial_area`` and ``initial_perimeter``, to which the errors in dia
 
 /history holds what a scheme carries from step to step besides (`State.history`): a dataset for an
 array of the markers or half points, a group with u and v for a velocity, a group with p for a
-pressure.
+pressure.  /fluid/p jumps across membranes that keep their area; /history/bare_pressure, from which
+a restart goes on, does not.
 """
 
 import json
@@ -50,6 +51,7 @@ from petsc4py import PETSc
 
 from .. import __version__
 from ..errors import InputError
+from ..pressure import BARE
 from ..problem import State
 from .files import Dataset, explain, write_hdf5
 
@@ -325,6 +327,9 @@ def load_state(header, grid, markers, stretch):
     for name, item in history.items():
         if isinstance(item, dict):
             history[name] = _vector(item, grid)
+    if BARE in history:
+        pressure.destroy()
+        pressure = history.pop(BARE)
     return State(header.step, header.time, velocity, pressure, markers, stretch, history)
 
 

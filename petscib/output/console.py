@@ -42,7 +42,8 @@ class Console:
 
 
 def protect():
-    """Let standard output and error be such streams.  After PETSc's start, which dies of SIGPIPE."""
+    """Let standard output and error be such streams."""
+    # PETSc, once started, would end the program at a pipe whose reader has gone.
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)
     sys.stdout, sys.stderr = (
         stream if isinstance(stream, Console) else Console(stream)

@@ -14,8 +14,8 @@ _CANNOT = errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOTSUP
 class Lock:
     """Holds a folder against other runs.  Rank 0 only.
 
-    The system drops the lock with the process, after kill -9 too, and hands it on over a network
-    file system.  The file itself stays: who has taken it last can be read in it.
+    The system drops the lock with the process, after kill -9 too, and heeds it over a network file
+    system.  The file itself stays; who has taken it last can be read in it.
 
     Parameters
     ----------
@@ -33,26 +33,37 @@ class Lock:
     """
 
     def __init__(self, folder):
-        path = os.path.join(folder, NAME)
-        self._file = open(path, "a+")  # noqa: SIM115  (it stays open)
-        self.holds = True
-        try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            if error.errno in _CANNOT:
-                self.holds = False
-                return
-            self._file.seek(0)
-            holder = " ".join(self._file.read(200).split()) or "another run"
-            self._file.close()
-            raise BlockingIOError(error.errno, f"in use by {holder}; allowed: another folder", folder) from None
-        self._file.truncate(0)
-        self._file.write(
-            f"process {os.getpid()} on {socket.gethostname()} since "
-            f"{time.strftime('%Y-%m-%d %H:%M:%S')}\n"
-        )
-        self._file.flush()
+        self._file = open(os.path.join(folder, NAME), "a+")  # it stays open
+        self.holds = _try(self._file, fcntl.LOCK_EX, folder)
+        if self.holds:
+            now = time.strftime("%Y-%m-%d %H:%M:%S")
+            self._file.truncate(0)
+            self._file.write(f"process {os.getpid()} on {socket.gethostname()} since {now}\n")
+            self._file.flush()
 
     def release(self):
         """Let others have the folder.  May be called twice."""
         self._file.close()
+
+
+def check(folder):
+    """Raise BlockingIOError if a run holds the folder.  Rank 0 only."""
+    path = os.path.join(folder, NAME)
+    if os.path.exists(path):
+        with open(path) as file:
+            _try(file, fcntl.LOCK_SH, folder)
+
+
+def _try(file, how, folder):
+    """Lock an open file; whether that can be done at all."""
+    try:
+        fcntl.flock(file, how | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno in _CANNOT:
+            return False
+        file.seek(0)
+        holder = " ".join(file.read(200).split()) or "another run"
+        file.close()
+        why = f"in use by {holder}; allowed: another folder, or to wait for its end"
+        raise BlockingIOError(error.errno, why, folder) from None
+    return True

@@ -69,7 +69,7 @@ class Monitor:
         print(line, file=self.stream, flush=True)
 
     def close(self):
-        """Finish the display, if it has begun; the run has ended or was stopped. May be called twice."""
+        """Finish the display, if it has begun. May be called twice."""
 
     def _fraction(self, time, step):
         """Part of the run that is done, 0 to 1; 0 if it has no end."""

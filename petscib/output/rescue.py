@@ -58,10 +58,8 @@ class Rescue:
         if self._file is None:
             return
         begin = perf_counter()
-        parts = copy(state)
-        parts.velocity, parts.pressure = _Part.of(state.velocity), _Part.of(state.pressure)
-        parts.history = {name: _Part.of(value) for name, value in state.history.items()}
         pieces = []
+        parts = _each(_part, state)
         text = pickle.dumps((parts, progress), protocol=5, buffer_callback=pieces.append)
         pieces = [text, *(piece.raw() for piece in pieces)]
         lengths = np.array([len(pieces), *map(len, pieces)], _INTEGER)
@@ -92,13 +90,8 @@ class Rescue:
             On this rank: no such file can be written, or not all parts are within reach.
         """
         kept = self._collect()
-        states = [state for state, _ in kept]
-        state, progress = kept[0]
-        state.velocity = _whole([part.velocity for part in states])
-        state.pressure = _whole([part.pressure for part in states])
-        for name, value in state.history.items():
-            if isinstance(value, _Part):
-                state.history[name] = _whole([part.history[name] for part in states])
+        states, (progress, *_) = zip(*kept)
+        state = _each(_whole, *states)
         whole = copy(problem)
         whole.grid = _WholeGrid(problem.grid)
         path = os.path.join(folder, checkpoint.name_of(state.step))
@@ -137,22 +130,38 @@ class Rescue:
         raise OutputError(why)
 
 
+def _each(action, *states):
+    """A state whose entries, those of its history too, are made of the given states' entries."""
+    made = copy(states[0])
+    for name, values in _entries(map(vars, states)):
+        setattr(made, name, action(*values))
+    made.history = {
+        name: action(*values) for name, values in _entries(state.history for state in states)
+    }
+    return made
+
+
+def _entries(mappings):
+    first, *others = mappings
+    return [(name, (value, *(other[name] for other in others))) for name, value in first.items()]
+
+
 @dataclass
 class _Part:
-    """This rank's part of a vector."""
+    """A rank's part of a vector."""
 
     values: np.ndarray
 
-    @classmethod
-    def of(cls, value):
-        if isinstance(value, PETSc.Vec):
-            return cls(value.getArray(readonly=True))
-        return value
+
+def _part(value):
+    return _Part(value.getArray(readonly=True)) if isinstance(value, PETSc.Vec) else value
 
 
-def _whole(parts):
-    """A sequential vector made of all ranks' parts."""
-    values = np.concatenate([part.values for part in parts])
+def _whole(first, *others):
+    """What rank 0 has kept; of a vector, the sequential one that all ranks' parts make."""
+    if not isinstance(first, _Part):
+        return first
+    values = np.concatenate([part.values for part in (first, *others)])
     return PETSc.Vec().createWithArray(values, comm=PETSc.COMM_SELF)
 
 

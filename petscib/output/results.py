@@ -15,9 +15,8 @@ from petsc4py import PETSc
 from .. import installation
 from ..diagnostics import COLUMNS
 from ..errors import InputError, ours
-from . import checkpoint, files, monitor, tables
+from . import checkpoint, files, lock, monitor, tables
 from .files import on_root
-from .lock import Lock
 from .plots import ANIMATIONS, PICTURES
 
 PREVIOUS = "previous"  # subfolder for what a new run would otherwise overwrite
@@ -104,11 +103,10 @@ class Results:
 
     def _claim(self):
         """See to it that no other run writes here, nor where its results would be moved."""
-        self.lock = Lock(self.folder)
+        self.lock = lock.Lock(self.folder)
         if not self.lock.holds:
-            self.say(f"petscib: no run can be kept from {self.folder}: its file system has no locks")
-        if os.path.isdir(self.path(PREVIOUS)):
-            Lock(self.path(PREVIOUS)).release()
+            self.say(f"petscib: other runs can write in {self.folder}, which cannot be locked")
+        lock.check(self.path(PREVIOUS))
 
     def _copy_tables(self, source):
         """Copy the tables of another folder under temporary names, which are returned."""

@@ -1,6 +1,7 @@
 """What the schemes share: a stage velocity is solved for, and all else follows from it."""
 
 from ..events import phase
+from ..pressure import JUMP
 from ..problem import State, Step
 from ..solvers.system import ImplicitSystem, Stage
 
@@ -85,12 +86,15 @@ class StageScheme:
         """
         problem = self.problem
         markers, stretch = state.markers, state.stretch
+        history = problem.next_history(state, stage)
         if operators is not None:
             with phase("marker motion"):
                 markers = problem.keep_areas(markers + dt * motion)
                 stretch = problem.next_stretch(state, dt, markers, rest.get("stress_rate"))
             operators.interpolation.destroy()
-        history = problem.next_history(state, stage)
+            if operators.projector is not None and stage.stress is not None:
+                force = operators.force(stage.stress)
+                history[JUMP] = operators.projector.component(force)
         if self.extrapolates:
             rate = velocity.copy()
             rate.axpby(-1 / dt, 1 / dt, state.velocity)

@@ -1,4 +1,4 @@
-"""The direct factorisations that this PETSc has, by their names for ``-pc_factor_mat_solver_type``."""
+"""The direct factorisations that this PETSc has, named as in ``-pc_factor_mat_solver_type``."""
 
 from petsc4py import PETSc
 

@@ -119,7 +119,7 @@ class Force:
         self.fluid = fluid
         self.model = MarkerModel(membranes.curves, fluid.grid, kernel, fluid.rho, fluid.mu,
                                  fluid.share, fluid.prefix + "model_")
-        self._near = self._interval = None
+        self._near = self._interval = self._free_velocity = None
         self._base = fluid.grid.velocity_vector()
         self._load = krylov.vector_on_root(membranes.stress_count, fluid.grid.comm)
         self._change = self._load.duplicate()
@@ -167,16 +167,19 @@ class Force:
             matrix = self._near.interpolation(stencil)
             if self._free_velocity is not None:
                 self._free_velocity = self._near.gather(self._base)
-        self._interpolation = matrix
+        self._interpolation, self._spreading = matrix, matrix.T / self.fluid.grid.cell_area
 
     def _carry(self, velocity):
         """Pi J w for velocities near the markers."""
         return self.operators.project((self._interpolation @ velocity).reshape(-1, 2))
 
+    def _spread(self, force):
+        """J^T Pi f / (dx dy), the force per area near the markers."""
+        return self._spreading @ self.operators.project(force).ravel()
+
     def _moved_by(self, force):
         """(H' + K) f for forces on the markers."""
-        spread = self._interpolation.T @ self.operators.project(force).ravel()
-        velocity = self._near.respond(spread / self.fluid.grid.cell_area)
+        velocity = self._near.respond(self._spread(force))
         return self._carry(velocity) + self.operators.slip_velocity(force)
 
     def mult(self, x, y):
@@ -230,10 +233,8 @@ class Force:
 
     def finish(self):
         """Set the stage's velocity, and its pressure where there is one."""
-        force = self.operators.project(self.operators.force(self.stage.stress))
         self.rhs.copy(self._base)
-        self._near.add(
-            self._interpolation.T @ force.ravel() / self.fluid.grid.cell_area, self._base)
+        self._near.add(self._spread(self.operators.force(self.stage.stress)), self._base)
         self.fluid.solve(self._base, self.stage.velocity, self.stage.pressure)
 
     def view(self, pc, viewer):

@@ -24,12 +24,13 @@ class MarkerOperators:
     def __init__(self, interpolation, rates, slip=None, projector=None):
         self.interpolation = interpolation
         self.rates = rates
+        self._transposed = rates.T  # a matrix of its own, dear to make beside its products
         self.slip = slip
         self.projector = projector
 
     def force(self, stress):
         """The force - C^T m on each marker, shape (M, 2); not per ds."""
-        return -(self.rates.T @ stress).reshape(-1, 2)
+        return (self._transposed @ -stress).reshape(-1, 2)
 
     def rate(self, velocity):
         """Rate C U of the stresses for marker velocities (M, 2)."""

@@ -33,7 +33,11 @@ from scipy.special import erfcx
 from .cholesky import Cholesky
 from .product import Product
 
-POLES = 3  # two need a third more iterations at dt = 16 h, four save none
+POLES = 2  # a third saves no iterations (64^2 and 256^2, dt of h/4, h and 16 h)
+
+# Largest change of C, relative to its largest entry, for which a factorisation is kept.  Passes of
+# gbe and gcn took as many iterations at 3e-3 as with a new one (128^2, dt = h, sigma0 1e5 and 1e9).
+KEPT = 1e-3
 
 
 def fit_poles(wavenumbers, symbol, low, high):
@@ -147,8 +151,12 @@ class MarkerModel:
         """
         if not len(self.curves.ds):
             return
+        rates = operators.rates.data
         if interval != self._interval:
             self._fit(interval)
+        elif abs(rates - self._rates).max() <= KEPT * abs(rates).max():
+            return
+        self._rates = rates
         stress = self._stress.matrix(interval, operators)
         if self._link is None:
             self._link = Product(operators.rates, self._phi)

@@ -1,0 +1,71 @@
+"""The pressure as it is shown: with the jumps across membranes that keep their area.
+
+The area projector takes from a membrane's force its uniform normal part c N, N the gradient of the
+area, because it moves no fluid: it is the gradient of a pressure that jumps.  What is written gets
+that pressure back,
+
+    Laplacian phi = div F[c N],
+
+phi = -c times the indicator of the membrane's inside, but for a constant and the smoothing.
+"""
+
+from dataclasses import replace
+
+from .membranes.mobility import AreaProjector
+from .solvers.poisson import PoissonSolver
+from .solvers.transforms.poisson import PoissonTransform
+
+# In a state's history: c of each membrane, on rank 0; and, in files, the pressure without jumps.
+JUMP, BARE = "pressure_jump", "bare_pressure"
+
+
+class ShownPressure:
+    """Pressures with their jumps.  Collective.
+
+    Parameters
+    ----------
+    problem : Problem
+    fft : bool
+        Whether transforms solve for the jumps, in place of multigrid.
+    """
+
+    def __init__(self, problem, fft):
+        self.problem, self.fft = problem, fft
+        self._poisson = None
+
+    def state(self, state):
+        """A state to write: the same one, or a copy with the pressure shown.
+
+        The copy's history holds the pressure without jumps, from which a restart goes on; its
+        pressure belongs to this object, and is good until the next call.
+        """
+        if JUMP not in state.history:
+            return state
+        history = {**state.history, BARE: state.pressure}
+        return replace(state, pressure=self._add_jumps(state), history=history)
+
+    def _add_jumps(self, state):
+        problem, grid = self.problem, self.problem.grid
+        if self._poisson is None:
+            transform = PoissonTransform(grid) if self.fft else None
+            self._poisson = PoissonSolver(problem.operators, transform=transform)
+            self._force, self._source = grid.velocity_vector(), grid.pressure_vector()
+            self._pressure = grid.pressure_vector()
+        curves = problem.membranes.curves
+        jumps = curves.spread(state.history[JUMP])
+        normal = AreaProjector(curves, state.markers).normal
+        interpolation = problem.interpolation(state.markers)
+        self._force.set(0.0)
+        interpolation.spread_add(jumps[:, None] * normal, self._force)
+        interpolation.destroy()
+        problem.operators.divergence.mult(self._force, self._source)
+        self._pressure.set(0.0)
+        self._poisson.solve(self._source, self._pressure)
+        self._pressure.axpy(1.0, state.pressure)
+        return self._pressure
+
+    def destroy(self):
+        """Free the solver.  Collective."""
+        if self._poisson is not None:
+            for part in (self._poisson, self._force, self._source, self._pressure):
+                part.destroy()
