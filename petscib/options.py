@@ -278,6 +278,8 @@ SOLVERS = (
     ("coupled_", "velocity and pressure together, be, cn, gbe, gcn (FGMRES; CG with -fft)"),
     ("momentum_velocity_", "fluid's solve inside a block iteration; likewise coupled_velocity_"),
     ("coupled_poisson_", "pressure solve inside the preconditioner"),
+    ("momentum_advection_", "ksp_rtol and ksp_max_it of implicit advection with -fft; likewise "
+     "coupled_advection_"),
     ("momentum_model_", "direct solver in marker space; likewise coupled_model_"),
     ("momentum_stress_", "direct solver of the eliminated membrane stresses"),
     ("coupled_direct_", "direct solver of the whole matrix, without the kink correction"),

@@ -28,6 +28,8 @@ ROUND_OFF = 1e-14
 # Less accurate solves would be little cheaper, and show in the energy law; and many iterations are
 # cheap too, where a membrane that nearly touches itself needs them.
 DEFAULTS = {"ksp_type": "cg", "ksp_rtol": 1e-8, "ksp_max_it": 1000, "pc_type": "python"}
+# With advection errors of several solves add up, and ten cells a step are to be as exact as one.
+ADVECTED = {**DEFAULTS, "ksp_rtol": 1e-10}
 
 
 class Near:
@@ -124,7 +126,8 @@ class Force:
         self._load = krylov.vector_on_root(membranes.stress_count, fluid.grid.comm)
         self._change = self._load.duplicate()
         self._operator = krylov.Operator(self._change, self)
-        self.ksp = krylov.create(self._operator.matrix, fluid.prefix, DEFAULTS)
+        defaults = DEFAULTS if fluid.advection is None else ADVECTED
+        self.ksp = krylov.create(self._operator.matrix, fluid.prefix, defaults)
         krylov.use_python(self.ksp, self)
         self.ksp.setInitialGuessNonzero(False)
 
