@@ -251,8 +251,8 @@ _ROWS = (
            "`-scene list` explains"),
     Option("ts_max_time", POSITIVE, 1.0, TIME, "end time", "time"),
     Option("ts_max_steps", Whole(), None, TIME, "most steps", automatic="no limit"),
-    Option("ts_adapt", Flag(), False, TIME, "retry a failed step with half the time step, and "
-           "grow it back later"),
+    Option("ts_adapt", Flag(), False, TIME, "retry a failed step with half the time step, halve "
+           "it before explicit advection makes one fail, and grow it back later"),
 
     Option("output", Path(), None, OUTPUT, "directory of the results", automatic="out/SCENE"),
     Option("monitor", Choice(("none", "bar", "log")), None, OUTPUT, "progress on the screen",

@@ -12,13 +12,14 @@ Lund, Vasilyev & Moin 1998).  Half a cell beyond a wall, w is 2 w_wall - w_insid
 """
 
 import numpy as np
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from .sides import WALLS
 
-# Above these, explicit treatment may be unstable.  Measured limits of the CFL number: 1 where the
-# cell Reynolds number is 16, 1.5 where it is 1.6, beyond 50 where it is 0.02.
-LARGEST_CFL, LARGEST_CELL_REYNOLDS = 0.7, 1.0
+# Explicit treatment is stable up to CFL numbers of about 1 where the cell Reynolds number is 16, of
+# 1.5 where it is 1.6 and of 50 where it is 0.02 (prototype): this, over the latter where below 1.
+LARGEST_CFL = 0.7
 
 
 class Advection:
@@ -124,8 +125,9 @@ class Advection:
         values, here = vector.getArray(), slice(1, -1)
         for component, (w, links, places) in enumerate(zip(fields, self._links, self._places)):
             east, west, north, south = links
-            change = (east * w[here, 2:] - west * w[here, :-2]
-                      + north * w[2:, here] - south * w[:-2, here])
+            with np.errstate(over="ignore", invalid="ignore"):  # a step's result is checked
+                change = (east * w[here, 2:] - west * w[here, :-2]
+                          + north * w[2:, here] - south * w[:-2, here])
             if ("left", "bottom")[component] in self._walls:  # whose faces keep their values
                 (change.T if component == 0 else change)[0] = 0.0
             values[places] += factor * change
@@ -158,23 +160,28 @@ class Advection:
         force.destroy()
         return power
 
+    def longest_step(self, velocity, mu):
+        """The time step up to which it is stable at a velocity; infinite when implicit.  Collective.
+
+        Parameters
+        ----------
+        velocity : PETSc.Vec
+        mu : float
+            Viscosity.
+        """
+        if self.implicit:
+            return np.inf
+        grid = self.grid
+        local = np.array([np.abs(part).max(initial=0) for part in grid.velocity_blocks(velocity)])
+        speeds = np.empty(2)
+        grid.comm.tompi4py().Allreduce(local, speeds, op=MPI.MAX)
+        spacings = np.array([grid.dx, grid.dy])
+        with np.errstate(divide="ignore"):
+            cfl = LARGEST_CFL * np.maximum(1.0, mu / (self.rho * speeds * spacings))
+            return float(np.min(cfl * spacings / speeds))
+
     def destroy(self):
         """Free its vectors.  Collective."""
         self._local.destroy()
         if self.source is not None:
             self.source.destroy()
-
-
-def largest_cfl(speed, spacing, rho, mu):
-    """The CFL number up to which explicit treatment is stable.
-
-    Parameters
-    ----------
-    speed : float
-        Top speed.
-    spacing : float
-        Size of the cells.
-    rho, mu : float
-    """
-    cell_reynolds = rho * speed * spacing / mu
-    return LARGEST_CFL * max(1.0, LARGEST_CELL_REYNOLDS / cell_reynolds)
