@@ -14,7 +14,7 @@ LARGEST_TURN = 0.1  # radians, or strain
 LARGEST_MOVE = 0.25  # of the radius of a circle of the vesicle's area
 
 
-def of_flow(settings, markers):
+def of_flow(settings, markers, curves=None):
     """What the background flow does to a vesicle in one time step, if it is too much.
 
     Parameters
@@ -22,6 +22,8 @@ def of_flow(settings, markers):
     settings : Settings
     markers : ndarray, shape (M, 2)
         At the start; without any there is nothing to be carried.
+    curves : Curves, optional
+        By default the markers are one vesicle.
 
     Returns
     -------
@@ -36,11 +38,11 @@ def of_flow(settings, markers):
             f"the flow turns and strains a vesicle by {rate * dt:.2g} (shear_rate ts_dt)",
             LARGEST_TURN, LARGEST_TURN / rate)
     x, y = markers.T
-    speed = np.hypot(*FLOWS[settings.flow](x, y, settings.shear_rate, settings.domain)).max()
-    return _of_move(speed * dt, markers, dt)
+    speed = np.hypot(*FLOWS[settings.flow](x, y, settings.shear_rate, settings.domain))
+    return _of_move(speed * dt, markers, dt, curves)
 
 
-def of_step(start, end, dt):
+def of_step(start, end, dt, curves=None):
     """How far a step has moved a vesicle, if it is too far: a warning, or an empty text.
 
     Parameters
@@ -48,12 +50,20 @@ def of_step(start, end, dt):
     start, end : ndarray, shape (M, 2)
         Markers before and after it.
     dt : float
+    curves : Curves, optional
+        By default the markers are one vesicle.
     """
-    return _of_move(geometry.length(end - start).max(), start, dt) if len(start) else ""
+    if not len(start):
+        return ""
+    return _of_move(geometry.length(end - start), start, dt, curves)
 
 
-def _of_move(distance, markers, dt):
-    part = distance / np.sqrt(geometry.area(markers) / np.pi)
+def _of_move(distance, markers, dt, curves):
+    size = np.sqrt(geometry.area(markers, curves) / np.pi)
+    if curves is not None:  # the length of what encloses no area is taken for that of a circle
+        circle = geometry.perimeter(markers, curves) / (2 * np.pi)
+        size = curves.spread(np.where(np.isnan(size), circle, size))
+    part = (distance / size).max()
     if not part > LARGEST_MOVE:
         return ""
     return _warning(f"a vesicle moves by {part:.2g} of its radius", LARGEST_MOVE,

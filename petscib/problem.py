@@ -10,6 +10,7 @@ from .agreement import on_root
 from .coupling.interpolation import Interpolation
 from .events import phase
 from .membranes import mobility
+from .membranes.gaps import Gaps
 from .solvers.markers import MarkerOperators
 
 
@@ -27,7 +28,7 @@ class State:
         Over all cells, mean zero.
     markers : ndarray, shape (M, 2)
         Positions on rank 0; (0, 2) elsewhere.
-    stretch : ndarray, shape (M,)
+    stretch : ndarray, shape (H,)
         Stretching |X_s| that the next step starts from, at the half points; rank 0.
     history : dict of str to ndarray or PETSc.Vec
         What a scheme wants to find again at the next step besides, such as earlier marker
@@ -68,8 +69,9 @@ class Step:
         U that carried the markers over the step.
     stress_rate : ndarray, shape (R,)
         Rates C U of the membranes' stresses at the stage; None without forces.
-    slip_power : float
-        Power f . K f of the kink correction, on rank 0.
+    ledger : dict
+        Terms of the energy law that are known at the markers (see `energy`), on rank 0; and the
+        energy of the stresses that the step predicted.
     transport : PETSc.Vec or None
         What carried momentum along; None without advection.
     iterations : dict
@@ -86,7 +88,7 @@ class Step:
     projection: PETSc.Vec = None
     marker_velocity: np.ndarray = None
     stress_rate: np.ndarray = None
-    slip_power: float = 0.0
+    ledger: dict = field(default_factory=dict)
     transport: PETSc.Vec = None
     iterations: dict = field(default_factory=dict)
     parts: tuple = ()
@@ -136,6 +138,8 @@ class Problem:
     ----------
     body_force : PETSc.Vec or None
         The same on the faces; None where there is none.
+    gaps : Gaps or None
+        How near the membranes are, for rank 0.
     """
 
     def __init__(self, grid, operators, rho, mu, membranes=None, kernel=None, evolve=False,
@@ -149,13 +153,24 @@ class Problem:
         self.evolve = evolve
         self.kink_correction = kink_correction
         self.areas = areas
+        self.gaps = None if membranes is None else Gaps(membranes.curves, grid)
         self.body_force = operators.uniform_force(body_force) if any(body_force) else None
         self.advection = advection
 
     @property
+    def curves(self):
+        """The curves of the membranes, or None."""
+        return self.membranes and self.membranes.curves
+
+    @property
     def acted_on(self):
         """Whether membranes exert forces on the fluid."""
-        return self.membranes is not None and self.membranes.act
+        return self.membranes is not None and (self.membranes.act or self.loaded)
+
+    @property
+    def loaded(self):
+        """Whether given forces act on membranes."""
+        return self.membranes is not None and bool(self.membranes.loads)
 
     @property
     def conserve_area(self):
@@ -210,7 +225,22 @@ class Problem:
         """Stresses of the membranes in a state, on rank 0; None where no membrane acts."""
         if not self.acted_on:
             return None
-        return self.membranes.stress(state.markers, state.stretch)
+        self.membranes.cover(state.markers, state.markers)
+        return self.membranes.stress(state.markers, state.stretch, state.time)
+
+    def stress_drift(self, state, dt):
+        """How the stresses of a state change in time by themselves, where tethers are moved."""
+        membranes = self.membranes
+        return (membranes.stress(state.markers, state.stretch, state.time + dt)
+                - membranes.stress(state.markers, state.stretch, state.time))
+
+    def spread_load(self, load, markers, rhs):
+        """Add a given force (M, 2) on markers in a place to the fluid's.  Collective."""
+        interpolation = self.interpolation(markers)
+        if self.conserve_area:
+            load = mobility.AreaProjector(self.membranes.curves, markers).project(load)
+        interpolation.spread_add(load, rhs)
+        interpolation.destroy()
 
     def transport(self, state, ahead):
         """The velocity expected a time `ahead` of a state, to carry momentum along.
@@ -249,26 +279,53 @@ class Problem:
             guess.axpy(1.0, history["stage_change"])
         return guess
 
-    @staticmethod
-    def next_history(state, stage):
+    def next_history(self, state, stage):
         """What the first guess of the next step is made of; takes the stage over."""
         history = {"stage": stage.velocity}
         if "stage" in state.history:
             history["stage_change"] = stage.velocity.copy()
             history["stage_change"].axpy(-1.0, state.history["stage"])
         if stage.stress is not None:
-            history["stress"] = stage.stress
+            history["stress"] = stage.stress[: self.membranes.fixed]
             if "stress" in state.history:
-                history["stress_change"] = stage.stress - state.history["stress"]
+                history["stress_change"] = history["stress"] - state.history["stress"]
         return history
 
-    def account(self, operators, stage, motion):
-        """What the energy law asks of the markers' part of a step: fields of the Step."""
+    def account(self, state, dt, theta, operators, stage, motion, load_power=0.0):
+        """What the energy law asks of the markers' part of a step: fields of the Step.
+
+        Parameters
+        ----------
+        state : State
+            The step's start.
+        dt, theta : float
+        operators : MarkerOperators
+        stage : Stage
+        motion : ndarray, shape (M, 2)
+            U at the stage.
+        load_power : float
+            Power of given forces on the fluid.
+        """
         if not self.acted_on:
             return {}
-        force = operators.force(stage.stress)
+        membranes = self.membranes
+        rate, stress = operators.rate(motion), self.stress(state)
+        change = dt * rate
+        force = operators.force(stage.stress) + stage.load
         slip = operators.slip_velocity(force)
-        return {"stress_rate": operators.rate(motion), "slip_power": float(np.sum(force * slip))}
+        work = dt * (load_power + np.sum(stage.load * slip))
+        if membranes.move:
+            drift = self.stress_drift(state, dt)
+            change = change + drift
+            work += (stress + theta * change) @ drift
+        predicted = stress + change
+        return {"stress_rate": rate, "ledger": {
+            "kink": -dt * np.sum(force * slip),
+            "load_power": work,
+            "predicted": predicted @ predicted / 2,
+            "laws": {name: (1 - 2 * theta) * energy
+                     for name, energy in membranes.by_law(change).items()},
+        }}
 
     def keep_areas(self, markers):
         """Move markers back to where their membranes have the areas they are to keep."""

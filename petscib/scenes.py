@@ -75,6 +75,13 @@ _SCENES = (
              ts_max_time=1.5),
     ),
     Scene(
+        "pair",
+        "two vesicles pass each other in shear flow",
+        dict(flow="shear", shear_rate=1.0, vesicles=2, axes=(0.15, 0.25), sigma0=1e5,
+             bending=0.01, vesicle_0_center=(-0.4, 0.12), vesicle_1_center=(0.4, -0.12),
+             stag_grid_x=96, ts_max_time=5.0),
+    ),
+    Scene(
         "driven",
         "Poiseuille flow without a vesicle: a steady state, which the coupled schemes keep",
         dict(flow="poiseuille", shear_rate=1.0, vesicles=0, ts_max_time=1.0),

@@ -13,7 +13,7 @@ from petsc4py import PETSc
 from . import accuracy, energy, events, guard, schemes, solver_options
 from .agreement import Agreement, on_rank, on_root
 from .diagnostics import Diagnostics
-from .errors import Crash, InputError, OutputError, SolveError, WallError, ours
+from .errors import Crash, CrossingError, InputError, OutputError, SolveError, WallError, ours
 from .events import phase, stage
 from .interrupt import Interrupt
 from .output import checkpoint
@@ -32,7 +32,8 @@ PATIENCE = 5.0  # seconds that a rank which has failed waits for the others, or 
 
 def _controls(settings):
     return schemes.Controls(
-        settings.startup, settings.picard_rtol, settings.picard_max_it, settings.fft)
+        settings.startup, settings.picard_rtol, settings.picard_max_it, settings.fft,
+        settings.ts_dt)
 
 
 class Simulation:
@@ -98,7 +99,8 @@ class Simulation:
         with stage("set-up"), phase("set-up"):
             self.remarks = []
             self.problem, self.state = build_problem(settings, comm, header, self.remarks)
-            self.warning = accuracy.of_flow(settings, self.state.markers)
+            self.warning = accuracy.of_flow(
+                settings, self.state.markers, self.problem.curves)
             on_root(self.comm, lambda: self._check_start(header))
             self._make_scheme()
             self.diagnostics = Diagnostics(self.problem, self.progress.reference or None)
@@ -185,14 +187,15 @@ class Simulation:
             last = f"; the last checkpoint is {self.saved_in}" if self.saved_in else ""
             raise OutputError(f"results could not be written: {error}{last}") from None
         finally:
-            self.results.close()
+            self.results.release()
 
     def _run(self, after_step):
         results, settings = self.results, self.settings
         first = self.first_step
         last = self.last_step if self.last_step < math.inf else None
         results.monitor.start(first, self.state.time, settings.ts_max_time, last)
-        for remark in filter(None, [*self.remarks, self.warning]):
+        self.close = guard.near(self.problem, self.state.markers)
+        for remark in filter(None, [*self.remarks, self.warning, self.close]):
             results.say(f"petscib: {remark}")
         with stage("stepping"):
             if settings.restart is None:  # else the row of the first state is there already
@@ -256,6 +259,7 @@ class Simulation:
         self.step_size.accept()
         self.state = step.end
         self._warn_of_long_steps(step)
+        self._warn_of_narrow_gaps()
         if self.keeping:
             self._keep()
         if self._has_row(self.state):
@@ -358,6 +362,8 @@ class Simulation:
         advice = self.scheme.advice
         if isinstance(error, WallError):
             advice = "a larger -domain leaves it room"
+        elif isinstance(error, CrossingError):
+            advice = "a finer grid, a smaller -ts_dt or -contact keeps them apart"
         elif isinstance(error, Crash):
             advice = f"{self.results.path(TRACEBACK)} says where"
         elif isinstance(error, InputError):
@@ -370,9 +376,17 @@ class Simulation:
     def _warn_of_long_steps(self, step):
         """Say once when a step has carried the membrane too far; rank 0 has the markers."""
         if not self.warning:
-            self.warning = accuracy.of_step(step.start.markers, step.end.markers, step.dt)
+            self.warning = accuracy.of_step(
+                step.start.markers, step.end.markers, step.dt, self.problem.curves)
             if self.warning:
                 self.results.say(f"petscib: {self.warning}")
+
+    def _warn_of_narrow_gaps(self):
+        """Say once when two membranes have come too near each other."""
+        if not self.close:
+            self.close = guard.near(self.problem, self.state.markers)
+            if self.close:
+                self.results.say(f"petscib: {self.close}")
 
     def _abandon(self, trouble):
         """End the job: the others wait for what this rank cannot do any more.  Not collective."""
@@ -416,6 +430,8 @@ class Simulation:
         self.saved_at = perf_counter()
         self.saved_in = self._output(
             lambda: self.results.save(self.shown.state(self.state), self._reached(), name))
+        if self.scheme is not None:
+            self.scheme.forget()
         return self.saved_in
 
     def _save_at_once(self):
@@ -429,8 +445,9 @@ class Simulation:
 
     def _keep(self):
         """Keep the state for the case that this or another rank fails alone.  Not collective."""
-        with phase("rescue copies"):
-            self.rescue.keep(self.state, self._reached())
+        if self.rescue.wanted:
+            with phase("rescue copies"):
+                self.rescue.keep(self.state, self._reached())
 
     def _reached(self):
         """The progress up to the present state."""

@@ -10,7 +10,7 @@ from runs import SMALL, arrays, assert_same_run, comm, prepare, rows, run
 
 from petscib import options, restart, schemes
 from petscib.errors import InputError, SolveError
-from petscib.output import tables
+from petscib.output import lock, plots, tables
 from petscib.output.checkpoint import Progress
 from petscib.stepsize import GROW_AFTER, SMALLEST, StepSize
 
@@ -209,6 +209,20 @@ def test_files_of_the_user_are_left_alone(tmp_path):
     assert (tmp_path / "previous-2" / "outlines.png").read_text() == "outlines.png"
 
 
+def test_every_file_of_a_run_is_known_and_set_aside(tmp_path):
+    """But for the lock, which goes with the run."""
+    words = {"plot": "yes", "xdmf_every": "1", "checkpoint_every": "1", "ledger": "record"}
+    folder = tmp_path / "run"
+    run(folder, ts_max_steps="3", **words)
+    plots.animate(str(folder))
+    before = {path.name for path in folder.iterdir()}
+    assert {"animation.gif", "ledger.png", "fields.png", "fields.xdmf", "final.h5"} < before
+    prepare(folder)
+    assert {path.name for path in (folder / "previous").iterdir()} == before
+    assert {path.name for path in folder.iterdir()} == {
+        lock.NAME, "previous", "diagnostics.csv", "outlines.csv"}
+
+
 def test_the_default_folder_does_not_matter_to_a_restart_elsewhere(finished, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "out").write_text("a file where out/tanktreading would be")
@@ -248,7 +262,7 @@ def test_extra_state_survives(tmp_path):
     pressure.setRandom()
     markers = np.random.default_rng(1).random((5, 2))
     state.history.update(earlier=markers, flow=velocity, load=pressure)
-    progress = Progress(1.0, reference={"area": 1.0, "perimeter": 1.0})
+    progress = Progress(1.0, reference={"area": [1.0], "perimeter": [1.0]})
     path = simulation.results.save(state, progress)
     again = prepare(tmp_path / "b", restart=path).state.history
     np.testing.assert_array_equal(again["earlier"], markers)

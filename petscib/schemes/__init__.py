@@ -30,12 +30,15 @@ class Controls:
         When the tangent of the geometric schemes has converged, and when it has failed to.
     fft : bool
         Whether transforms solve the fluid's equations exactly.
+    dt : float
+        The usual time step, by which solvers are chosen.
     """
 
     startup: int = 0
     picard_rtol: float = 1e-9
     picard_max_it: int = 100
     fft: bool = False
+    dt: float = 0.0
 
 
 class Solvers:
@@ -44,11 +47,11 @@ class Solvers:
     Parameters
     ----------
     problem : Problem
-    fft : bool
+    controls : Controls
     """
 
-    def __init__(self, problem, fft):
-        self.problem, self.fft = problem, fft
+    def __init__(self, problem, controls):
+        self.problem, self.fft, self.dt = problem, controls.fft, controls.dt
 
     def momentum(self):
         """Of the momentum system."""
@@ -74,10 +77,10 @@ class Solvers:
 
 def _geometric(problem, theta, solvers, controls):
     membranes = problem.membranes
-    # Without tension or projector there is nothing to average, and only Crank-Nicolson iterates
+    # With linear laws and no projector there is nothing to average, and only Crank-Nicolson iterates
     # on where the markers are.
     if membranes is None or (
-        theta == BACKWARD_EULER and membranes.law("tension") is None and not problem.conserve_area
+        theta == BACKWARD_EULER and membranes.linear and not problem.conserve_area
     ):
         return Coupled(problem, theta, solvers)
     return Geometric(problem, theta, solvers, controls)
@@ -96,5 +99,5 @@ SCHEMES = {
 
 def create(name, problem, controls=Controls()):
     """The scheme of this name for a problem.  Collective."""
-    scheme = SCHEMES[name](problem, Solvers(problem, controls.fft), controls)
+    scheme = SCHEMES[name](problem, Solvers(problem, controls), controls)
     return Startup(scheme, controls.startup) if controls.startup else scheme

@@ -42,7 +42,7 @@ class Geometric(StageScheme):
     """
 
     def __init__(self, problem, theta, solvers, controls):
-        super().__init__(problem, theta, solvers.stokes())
+        super().__init__(problem, theta, solvers.stokes(), solvers.dt)
         self.controls = controls
         advection = problem.advection
         self._carried = None  # the transport of a pass
@@ -52,8 +52,8 @@ class Geometric(StageScheme):
     def step(self, state, dt):
         """Take one step from `state`.  Collective.  Returns a Step."""
         problem, system = self.problem, self.system
-        stress, stage = problem.stress(state), self.begin(state, dt)
         guess = state.markers + dt * self._extrapolated(state.history)
+        stage = self.begin(state, dt, state.markers + (1 - self.theta) * (guess - state.markers))
         acceleration = Anderson(ANDERSON_DEPTH)
         interpolation = problem.interpolation(state.markers) if self.theta == 1 else None
         change, passes, iterations = 1.0, 0, 0
@@ -76,12 +76,13 @@ class Geometric(StageScheme):
                     problem.advection.carry(self._carried)
                 # rho (w - u^n) / (theta dt) + grad p = mu Laplacian w + F[f],  div w = 0,
                 # f = - C^T m,  m = m0 + theta dt C U,  U = J w + K f
+                stress = self.free_stress(state, dt, stage, operators)
                 with phase("coupled solve"):
                     system.update(self.theta * dt, operators, stress)
                     iterations += system.iterate(max(INNER_FRACTION * change, least))
 
                 # X^{n+1} = X^n + dt U
-                motion = system.marker_velocity()
+                motion = self.marker_velocity(stage, operators)
                 markers = state.markers + dt * motion
                 change = self._relative_change(guess, markers, state.markers)
                 if self._carried is not None:
@@ -99,7 +100,7 @@ class Geometric(StageScheme):
         velocity = self.end_velocity(state, stage)
         step = self.finish(
             state, dt, stage, operators, velocity, motion,
-            **problem.account(operators, stage, motion),
+            **self.account(state, dt, stage, operators, motion),
             iterations={"coupled": iterations, "picard": passes},
         )
         history, before = step.end.history, state.history.get("marker_velocity")

@@ -1,5 +1,7 @@
 """What the schemes share: a stage velocity is solved for, and all else follows from it."""
 
+import numpy as np
+
 from ..events import phase
 from ..pressure import JUMP
 from ..problem import State, Step
@@ -25,37 +27,80 @@ class StageScheme:
     problem : Problem
     theta : float
     fluid : Momentum or Stokes
+    dt : float
+        The usual time step.
     acts : bool
         Whether the membranes' forces are in the stage equations.
     """
 
     advice = "try a smaller -ts_dt"
 
-    def __init__(self, problem, theta, fluid, acts=True):
+    def __init__(self, problem, theta, fluid, dt, acts=True):
         self.problem = problem
         self.theta = theta
         self.system = ImplicitSystem(
-            fluid, problem.membranes if acts else None, problem.kernel, problem.kink_correction)
-        self._rhs = problem.grid.velocity_vector()
+            fluid, problem.membranes if acts else None, problem.kernel, problem.kink_correction,
+            theta * dt)
+        self._rhs, self._load = problem.grid.velocity_vector(), None
+        if problem.loaded:
+            self._load = problem.grid.velocity_vector()
         # Where the stage lies ahead of the start, the transport is that of a stage to come.
         self.extrapolates = problem.advection is not None and theta < 1
 
-    def begin(self, state, dt):
+    def begin(self, state, dt, markers=None):
         """Set the fluid's part of the right-hand side, and the first guess.  Collective.
+
+        Parameters
+        ----------
+        state : State
+        dt : float
+        markers : ndarray, shape (M, 2), optional
+            Where given forces act; by default, at the step's start.
 
         Returns
         -------
         Stage
             Extrapolated from the last two steps.
         """
+        problem = self.problem
         ahead = self.theta * dt if self.theta < 1 else 0.0
-        self._transport = self.problem.transport(state, ahead)
-        self.problem.fluid_rhs(state, self.theta * dt, self._rhs, self._transport)
-        stress = self.problem.stress(state)
-        guess = state.history.get("stress", stress)
-        if "stress_change" in state.history:
-            guess = guess + state.history["stress_change"]
-        return Stage(self.problem.first_guess(state), state.pressure.copy(), guess)
+        self._transport = problem.transport(state, ahead)
+        problem.fluid_rhs(state, self.theta * dt, self._rhs, self._transport)
+        stress, history, load = problem.stress(state), state.history, 0.0
+        if "stress" in history:
+            fixed = history["stress"] + history.get("stress_change", 0.0)
+            stress = np.concatenate((fixed, stress[len(fixed) :]))
+        if problem.loaded:
+            load = problem.membranes.load(state.time + self.theta * dt)
+            self._load.zeroEntries()
+            problem.spread_load(load, state.markers if markers is None else markers, self._load)
+            self._rhs.axpy(1.0, self._load)
+        return Stage(problem.first_guess(state), state.pressure.copy(), stress, load)
+
+    def free_stress(self, state, dt, stage, operators):
+        """m0: the stresses at the stage, but for what their own forces do."""
+        problem = self.problem
+        stress = problem.stress(state)
+        if problem.acted_on and problem.membranes.move:
+            stress = stress + self.theta * problem.stress_drift(state, dt)
+        if problem.loaded and operators.slip is not None:
+            slip = operators.slip_velocity(stage.load)
+            stress = stress + self.theta * dt * operators.rate(slip)
+        return stress
+
+    def marker_velocity(self, stage, operators):
+        """U at the stage, after a solve: (M, 2) on rank 0, None without markers.  Collective."""
+        velocity = self.system.marker_velocity()
+        if self.problem.loaded:
+            velocity = velocity + operators.slip_velocity(stage.load)
+        return velocity
+
+    def account(self, state, dt, stage, operators, motion):
+        """Fields of the Step that the energy law asks for.  Collective."""
+        power = 0.0
+        if self.problem.loaded:
+            power = self.problem.grid.cell_area * stage.velocity.dot(self._load)
+        return self.problem.account(state, dt, self.theta, operators, stage, motion, power)
 
     def end_velocity(self, state, stage):
         """u^n + (w - u^n) / theta, a new vector."""
@@ -93,7 +138,7 @@ class StageScheme:
                 stretch = problem.next_stretch(state, dt, markers, rest.get("stress_rate"))
             operators.interpolation.destroy()
             if operators.projector is not None and stage.stress is not None:
-                force = operators.force(stage.stress)
+                force = operators.force(stage.stress) + stage.load
                 history[JUMP] = operators.projector.component(force)
         if self.extrapolates:
             rate = velocity.copy()
@@ -104,7 +149,13 @@ class StageScheme:
         return Step(dt, self.theta, state, end, stage.velocity, marker_velocity=motion,
                     transport=self._transport, **rest)
 
+    def forget(self):
+        """Drop what depends on earlier steps and is in no checkpoint."""
+        self.system.forget()
+
     def destroy(self):
         """Free the solver."""
         self.system.destroy()
         self._rhs.destroy()
+        if self._load is not None:
+            self._load.destroy()

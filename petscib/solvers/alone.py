@@ -53,6 +53,11 @@ class Alone:
         """Take right-hand side and first guess."""
         self.rhs, self.stage = rhs, stage
 
+    take = begin
+
+    def forget(self):
+        """There is nothing."""
+
     def update(self, interval, operators, stress):
         """Follow the time step."""
         self.operators = operators

@@ -45,6 +45,7 @@ class Block:
     def begin(self, rhs, stage):
         """Take right-hand side and first guess."""
         self.rhs, self.stage = rhs, stage
+        self.model.begin()
 
     def update(self, interval, operators, stress):
         """Set the system for a configuration of the membranes."""

@@ -136,8 +136,19 @@ class Force:
         """Relative tolerance of a solve."""
         return self.ksp.getTolerances()[0]
 
+    def forget(self):
+        """Place the window anew at the next step."""
+        if self._near:
+            self._near.destroy()
+            self._near = None
+
     def begin(self, rhs, stage):
-        """Take right-hand side and first guess."""
+        """Take right-hand side and first guess of a time step."""
+        self.model.begin()
+        self.take(rhs, stage)
+
+    def take(self, rhs, stage):
+        """Take another right-hand side and first guess in the same step."""
         self.rhs, self.stage = rhs, stage
         self._free_velocity = None
 
@@ -153,7 +164,7 @@ class Force:
         self.ksp.setOperators(self._operator.matrix)
 
     def _answer_rhs(self):
-        """The fluid's answer to the right-hand side, once a `begin`."""
+        """The fluid's answer to the right-hand side, where it is not there yet."""
         if self._free_velocity is None:
             self.fluid.solve(self.rhs, self._base)
             area = self.fluid.grid.cell_area
@@ -164,8 +175,7 @@ class Force:
         """Follow the markers: as a rule, they are still where they see the same faces."""
         matrix = self._near.interpolation(stencil) if self._near and not changed else None
         if self.fluid.grid.comm.tompi4py().bcast(matrix is None):
-            if self._near:
-                self._near.destroy()
+            self.forget()
             self._near = Near(self.fluid, stencil)
             matrix = self._near.interpolation(stencil)
             if self._free_velocity is not None:
@@ -249,8 +259,7 @@ class Force:
         """Free the solver; PETSc calls this too.  Collective."""
         if pc is not None:
             return
-        if self._near:
-            self._near.destroy()
+        self.forget()
         self.model.destroy()
         for part in (self.ksp, self._operator, self._load, self._change, self._base):
             part.destroy()

@@ -100,6 +100,7 @@ class Skew:
     def begin(self, rhs, stage):
         """Take right-hand side and first guess."""
         self.rhs, self.stage = rhs, stage
+        self.inner.begin(rhs, stage)
 
     def update(self, interval, operators, stress):
         """Set the system for a configuration of the membranes."""
@@ -114,7 +115,7 @@ class Skew:
     def _solve(self, iterate, stress, accuracy):
         """Solve M x = load from a first guess of the stresses.  Returns the iterations."""
         iterate.stress = stress
-        self.inner.begin(iterate.load, iterate)
+        self.inner.take(iterate.load, iterate)
         iterations = self.inner.iterate(accuracy)
         self.inner.finish()
         return iterations
@@ -173,6 +174,10 @@ class Skew:
         velocity = operators.interpolate(self.stage.velocity)
         return velocity if stress is None else velocity + operators.slip_velocity(
             operators.force(stress))
+
+    def forget(self):
+        """Drop what depends on earlier steps."""
+        self.inner.forget()
 
     def finish(self):
         """Nothing is left to do."""
