@@ -31,6 +31,8 @@ REDUCTION = 0.1
 # Less accurate solves would be little cheaper, and show in the energy law; and many iterations are
 # cheap too, where a membrane that nearly touches itself needs them.
 DEFAULTS = {"ksp_type": "cg", "ksp_rtol": 1e-8, "ksp_max_it": 1000, "pc_type": "python"}
+# With advection errors of several solves add up, and ten cells a step are to be as exact as one.
+ADVECTED = {**DEFAULTS, "ksp_rtol": 1e-10}
 
 
 class Near:
@@ -122,12 +124,13 @@ class Force:
         self.fluid = fluid
         self.model = MarkerModel(membranes.curves, fluid.grid, kernel, fluid.rho, fluid.mu,
                                  fluid.share, fluid.prefix + "model_")
-        self._near = self._interval = None
+        self._near = self._interval = self._free_velocity = None
         self._base = fluid.grid.velocity_vector()
         self._load = krylov.vector_on_root(membranes.stress_count, fluid.grid.comm)
         self._change = self._load.duplicate()
         self._operator = krylov.Operator(self._change, self)
-        self.ksp = krylov.create(self._operator.matrix, fluid.prefix, DEFAULTS)
+        defaults = DEFAULTS if fluid.advection is None else ADVECTED
+        self.ksp = krylov.create(self._operator.matrix, fluid.prefix, defaults)
         krylov.use_python(self.ksp, self)
         self.ksp.setInitialGuessNonzero(False)
 
@@ -143,9 +146,13 @@ class Force:
             self._near = None
 
     def begin(self, rhs, stage):
-        """Take right-hand side and first guess."""
-        self.rhs, self.stage = rhs, stage
+        """Take right-hand side and first guess of a time step."""
         self.model.begin()
+        self.take(rhs, stage)
+
+    def take(self, rhs, stage):
+        """Take another right-hand side and first guess in the same step."""
+        self.rhs, self.stage = rhs, stage
         self._free_velocity = None
 
     def update(self, interval, operators, stress):
@@ -156,13 +163,16 @@ class Force:
         with phase("marker model"):
             self.model.update(interval, operators)
         self._place(operators.interpolation.stencil, changed)
+        self._operator.changed()
+        self.ksp.setOperators(self._operator.matrix)
+
+    def _answer_rhs(self):
+        """The fluid's answer to the right-hand side, where it is not there yet."""
         if self._free_velocity is None:
             self.fluid.solve(self.rhs, self._base)
             area = self.fluid.grid.cell_area
             self._free_power = np.sqrt(abs(area * self.rhs.dot(self._base)))
             self._free_velocity = self._near.gather(self._base)
-        self._operator.changed()
-        self.ksp.setOperators(self._operator.matrix)
 
     def _place(self, stencil, changed):
         """Follow the markers: as a rule, they are still where they see the same faces."""
@@ -200,6 +210,7 @@ class Force:
 
     def iterate(self, accuracy):
         """Solve for the stresses.  Returns the iterations."""
+        self._answer_rhs()
         operators, stress = self.operators, self.stage.stress
         carried = self._carry(self._free_velocity)
         load = self._free + operators.rate(carried)
