@@ -377,7 +377,8 @@ class Simulation:
         """Say once when a step has carried the membrane too far; rank 0 has the markers."""
         if not self.warning:
             self.warning = accuracy.of_step(
-                step.start.markers, step.end.markers, step.dt, self.problem.curves)
+                self.settings, step.start.markers, step.end.markers, step.dt,
+                self.problem.curves)
             if self.warning:
                 self.results.say(f"petscib: {self.warning}")
 
