@@ -64,7 +64,7 @@ class Simulation:
         self.longest_attempt = 0.0
         self.scheme = self.results = self.shown = None
         self.traceback = ""
-        self.writing = False
+        self.writing = self.said_too_long = False
         comm = comm or PETSc.COMM_WORLD
         self.comm = comm.tompi4py()
         self.agreement = Agreement(self.comm)
@@ -237,6 +237,7 @@ class Simulation:
 
     def _advance(self):
         """Take a step, with -ts_adapt in as many attempts as it needs.  Collective."""
+        self._heed_advection()
         while True:
             dt = self._next_dt()
             step, error = self._attempt(dt)
@@ -265,6 +266,20 @@ class Simulation:
             self._record(step)
         self._write_fields()
         step.discard()
+
+    def _heed_advection(self):
+        """Keep to the limit of explicit advection, or say once that the step is beyond it."""
+        advection = self.problem.advection
+        if advection is None or advection.implicit:
+            return
+        longest = advection.longest_step(self.state.velocity, self.problem.mu)
+        self.step_size.limit(longest)
+        dt = self._next_dt()
+        if dt > longest and not self.said_too_long:
+            self.said_too_long = True
+            self.results.say(
+                f"petscib: explicit advection may be unstable with time steps above {longest:.3g} "
+                f"at this speed, and this one is {dt:.3g}; try -advection implicit or -ts_adapt")
 
     def _attempt(self, dt):
         """The step and None, or None and the error that all ranks agree upon.  Collective."""
@@ -362,7 +377,8 @@ class Simulation:
         """Say once when a step has carried the membrane too far; rank 0 has the markers."""
         if not self.warning:
             self.warning = accuracy.of_step(
-                step.start.markers, step.end.markers, step.dt, self.problem.curves)
+                self.settings, step.start.markers, step.end.markers, step.dt,
+                self.problem.curves)
             if self.warning:
                 self.results.say(f"petscib: {self.warning}")
 

@@ -63,8 +63,11 @@ class Solvers:
         return self._fluid(Stokes, lambda: StokesTransform(problem.grid, problem.operators))
 
     def _fluid(self, kind, transform):
-        problem = self.problem
-        return kind(problem.operators, problem.rho, problem.mu, transform() if self.fft else None)
+        problem, advection = self.problem, self.problem.advection
+        if advection is not None and not advection.implicit:
+            advection = None
+        return kind(problem.operators, problem.rho, problem.mu, transform() if self.fft else None,
+                    advection)
 
     def poisson(self):
         """Of the pressure's Poisson problem."""

@@ -21,6 +21,9 @@ symmetric, with A the momentum matrix or the coupled one.  Four iterations solve
 `alone`
     Without membrane forces.
 
+With implicit advection A is not symmetric.  `skew` puts it around `force`, and around `alone` with
+transforms; in the others it is part of A, and FGMRES takes the place of conjugate gradients.
+
 The relative tolerance means the same in all: the power of the error, as the preconditioner tells
 it, relative to that of the right-hand side.
 """
@@ -30,10 +33,17 @@ from dataclasses import dataclass
 import numpy as np
 from petsc4py import PETSc
 
+from ..errors import InputError
 from .alone import Alone
 from .block import Block
 from .elimination import Elimination
 from .force import Force
+from .skew import Skew
+
+# PETSc's Krylov methods for symmetric matrices.
+NEED_SYMMETRY = frozenset((
+    "cg", "fcg", "pipecg", "pipecgrr", "pipecg2", "pipelcg", "pipeprcg", "pipefcg", "groppcg",
+    "nash", "stcg", "gltr", "qcg", "minres", "symmlq", "cr", "pipecr"))
 
 
 @dataclass
@@ -89,6 +99,22 @@ class ImplicitSystem:
         self._iteration, self._version = self._choose(*self._choice), None
 
     def _choose(self, membranes, kernel, corrected, interval):
+        """The iteration, with advection around it or part of it."""
+        fluid = self.fluid
+        iteration = self._choose_symmetric(membranes, kernel, corrected, interval)
+        if fluid.advection is None:
+            return iteration
+        if isinstance(iteration, (Force, Alone)) and fluid.transform is not None:
+            return Skew(iteration, fluid)
+        name = PETSc.Options(fluid.prefix).getString("ksp_type", "")
+        if name in NEED_SYMMETRY:
+            raise InputError(
+                f"-{fluid.prefix}ksp_type {name}: implicit advection makes the system "
+                "unsymmetric; allowed: fgmres, gmres, bcgs and others that do without, or -fft"
+            )
+        return iteration
+
+    def _choose_symmetric(self, membranes, kernel, corrected, interval):
         fluid = self.fluid
         if membranes is None or not membranes.act:
             return Alone(fluid)
@@ -176,7 +202,7 @@ class ImplicitSystem:
 
         When this is called as one is written, a restart from it is the uninterrupted run.
         """
-        if isinstance(self._iteration, Force):
+        if isinstance(self._iteration, (Force, Skew)):
             self._iteration.forget()
 
     def destroy(self):
