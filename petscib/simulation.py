@@ -195,6 +195,8 @@ class Simulation:
         last = self.last_step if self.last_step < math.inf else None
         results.monitor.start(first, self.state.time, settings.ts_max_time, last)
         self.close = guard.near(self.problem, self.state.markers)
+        if settings.monitor != "none":
+            self.remarks.insert(0, opening_line(settings, self.last_step - first))
         for remark in filter(None, [*self.remarks, self.warning, self.close]):
             results.say(f"petscib: {remark}")
         with stage("stepping"):

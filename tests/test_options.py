@@ -317,6 +317,7 @@ def test_values_that_follow_from_others():
     assert options.read({"stag_grid_x": "128"}).ts_dt == factor * 2 / 128
     assert options.read({"stag_grid_x": "128", "stag_grid_y": "256"}).ts_dt == factor * 2 / 256
     assert options.read({"ts_dt": "0.5", "stag_grid_x": "128"}).ts_dt == 0.5
+    assert options.read({"scheme": "mbe"}).ts_dt == scenes.CFL_OF_OTHERS * 2 / 64
     for scheme in options.SCHEMES:
         assert options.read({"scheme": scheme}).startup == (scheme in ("cn", "gcn"))
     assert options.read({"scheme": "gcn", "startup": "0"}).startup == 0
