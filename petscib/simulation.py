@@ -433,6 +433,10 @@ class Simulation:
         self.saved_at = perf_counter()
         self.saved_in = self._output(
             lambda: self.results.save(self.shown.state(self.state), self._reached(), name))
+        if self.shown.trouble:
+            self.results.say(
+                f"petscib: the pressure in {self.saved_in} is without its jumps across the "
+                f"membranes: {self.shown.trouble}")
         if self.scheme is not None:
             self.scheme.forget()
         return self.saved_in
