@@ -380,7 +380,7 @@ def read(database):
     values.update(scene.settings, scene=scene.name)
     values.update(given)
     check_domain(values["domain"])
-    resolve(values, set(given), scene.cfl)
+    resolve(values, set(given), scene.cfl_of(values["scheme"]))
     settings = Settings(values, given)
     for name in ("stag_grid_x", "stag_grid_y"):  # one of them may follow from the other
         value_of(TABLE[name], text_of(getattr(settings, name)))

@@ -195,6 +195,8 @@ class Simulation:
         last = self.last_step if self.last_step < math.inf else None
         results.monitor.start(first, self.state.time, settings.ts_max_time, last)
         self.close = guard.near(self.problem, self.state.markers)
+        if settings.monitor != "none":
+            self.remarks.insert(0, opening_line(settings, self.last_step - first))
         for remark in filter(None, [*self.remarks, self.warning, self.close]):
             results.say(f"petscib: {remark}")
         with stage("stepping"):
@@ -377,7 +379,8 @@ class Simulation:
         """Say once when a step has carried the membrane too far; rank 0 has the markers."""
         if not self.warning:
             self.warning = accuracy.of_step(
-                step.start.markers, step.end.markers, step.dt, self.problem.curves)
+                self.settings, step.start.markers, step.end.markers, step.dt,
+                self.problem.curves)
             if self.warning:
                 self.results.say(f"petscib: {self.warning}")
 
@@ -430,6 +433,10 @@ class Simulation:
         self.saved_at = perf_counter()
         self.saved_in = self._output(
             lambda: self.results.save(self.shown.state(self.state), self._reached(), name))
+        if self.shown.trouble:
+            self.results.say(
+                f"petscib: the pressure in {self.saved_in} is without its jumps across the "
+                f"membranes: {self.shown.trouble}")
         if self.scheme is not None:
             self.scheme.forget()
         return self.saved_in

@@ -11,7 +11,7 @@ from petscib.errors import SolveError
 from petscib.fluid.grid import Grid
 from petscib.fluid.operators import Operators
 from petscib.fluid.sides import Sides
-from petscib.membranes import mobility, shapes
+from petscib.membranes import geometry, shapes
 from petscib.membranes.curves import Curves
 from petscib.membranes.laws import Bending, Tension
 from petscib.membranes.membranes import Membranes
@@ -54,7 +54,8 @@ RIGIDITY = 0.01, 0.03, 0.02
 class Case:
     """Three membranes in extensional flow; what the system is made of, and the same densely.
 
-    `turned` rotates the first curve and moves the second by that much until the end of the step.
+    Without the kink correction, very stiff ones go without the area projector too: it is left to
+    the Krylov method there, which round-off then ends.
     """
 
     def __init__(self, sigma0=1e5, corrected=True, flow="extensional", cells=(24, 20)):
@@ -74,7 +75,8 @@ class Case:
                         self.here(self.rest)),
                 Bending(lines, np.repeat(RIGIDITY, (24, 16, 11)) if here else 0.0)]
         membranes = Membranes(3, lines, laws, self.here(self.rest))
-        areas = mobility.areas(lines, self.here(self.markers))
+        self.keeps_areas = corrected or sigma0 < 1e6
+        areas = geometry.signed_area(self.here(self.markers), lines) if self.keeps_areas else None
         self.problem = Problem(
             self.grid, Operators(self.grid, sides), RHO, MU, membranes, KERNELS["yang"],
             kink_correction=corrected, areas=areas)
@@ -114,12 +116,13 @@ class Case:
                      np.zeros_like(self.stress))
 
     def fluid(self, equations, transforms):
-        solvers = Solvers(self.problem, transforms)
+        solvers = Solvers(self.problem, Controls(fft=transforms))
         return solvers.momentum() if equations == "momentum" else solvers.stokes()
 
-    def system(self, equations, transforms):
-        return ImplicitSystem(self.fluid(equations, transforms), self.problem.membranes,
-                              self.problem.kernel, self.problem.kink_correction)
+    def system(self, equations, transforms, interval=INTERVAL):
+        problem = self.problem
+        return ImplicitSystem(self.fluid(equations, transforms), problem.membranes,
+                              problem.kernel, problem.kink_correction, interval)
 
     def found(self, stage, operators, motion):
         """w, p, U and f on every rank."""
@@ -151,7 +154,7 @@ class Case:
             forces.append(-ds * (rate.T @ (sigma0 * excess)
                                  + rigidity * second.T @ second @ part.ravel()))
             slips.append(slip / ds)
-            projectors.append(dense.projector(middle[where], ds) if closed
+            projectors.append(dense.projector(middle[where], ds) if closed and self.keeps_areas
                               else np.eye(2 * len(part)))
             first, edge = where.stop, edge + len(table)
         projector, slip = block_diag(*projectors), kink * block_diag(*slips)
@@ -299,9 +302,7 @@ def test_the_iteration_of_the_momentum_system(transforms, corrected, interval, o
     """By how far momentum diffuses in a step, unless transforms or the user decide."""
     case = Case(corrected=corrected)
     with dense.petsc_options(**option):
-        system = case.system("momentum", transforms)
-        system.begin(case.rhs, case.new_stage())
-        system.update(interval, case.operators(), case.stress)
+        system = case.system("momentum", transforms, interval)
         assert type(system._iteration) is kind
         assert kind is not Elimination or system._iteration.literal is not corrected
         system.destroy()
@@ -315,7 +316,7 @@ def test_without_membranes_the_fluid_is_solved_alone(equations, transforms):
     with options(equations):
         for membranes in (None, Membranes(1, case.problem.membranes.curves, [], case.rest)):
             system = ImplicitSystem(
-                case.fluid(equations, transforms), membranes, case.problem.kernel, True)
+                case.fluid(equations, transforms), membranes, case.problem.kernel, True, INTERVAL)
             stage = case.new_stage()
             count = system.solve(case.rhs, stage, INTERVAL)
             assert type(system._iteration) is Alone and (count == 1) == transforms
@@ -422,6 +423,20 @@ def test_a_failed_solve_raises_on_every_rank(iteration):
     with pytest.raises(SolveError, match=f"{equations} solve failed: DIVERGED_(MAX_)?ITS? after 1 "
                        f"it.*-{equations}_ksp_max_it"):
         solve(Case(1e5, corrected), iteration, ksp_max_it=1, **more)
+
+
+@pytest.mark.parametrize("iteration, says", [
+    ("force", ["unknowns: membrane stresses, fluid", "in marker space", "exact, by sine"]),
+    ("elimination", ["unknowns: fluid, membrane stresses eliminated", "type: gamg"]),
+    ("coupled block", ["unknowns: fluid and membrane stresses", "block triangular", "type: gamg",
+                       "coupled_poisson_", "coupled_velocity_"]),
+    ("literal", ["stresses eliminated", "type: cholesky"]),
+    ("coupled literal", ["stresses eliminated", "coupled_direct_", "type: lu"])])
+def test_the_view_says_what_solves(iteration, says, tmp_path):
+    solve(Case(1e5, ITERATIONS[iteration][3]), iteration, ksp_view=f"ascii:{tmp_path}/view")
+    text = (tmp_path / "view").read_text()
+    for words in says:
+        assert words in text, words
 
 
 # ---------------------------------------------------------------- counts

@@ -69,6 +69,8 @@ class Gaps:
             limit = max(min(between, nearest), longest)
             if least >= limit:
                 break
+            if curves.ds[curves.starts[one]] < curves.ds[curves.starts[other]]:
+                one, other, shift = other, one, -shift  # the closer markers are looked up
             if one not in trees:
                 trees[one] = cKDTree(parts[one])
             distance, found = trees[one].query(

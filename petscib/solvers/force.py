@@ -24,6 +24,9 @@ MARGIN = 1  # cells around the faces that the markers see, for them to move in
 # to have been so many times too large, the solve goes on.
 MUCH_LESS, MOST_ATTEMPTS = 0.1, 3
 ROUND_OFF = 1e-14
+# What a pass of the tangent iteration must make of its residual at least: were it content with the
+# last pass's answer, the iteration would learn nothing, and its acceleration go astray.
+REDUCTION = 0.1
 
 # Less accurate solves would be little cheaper, and show in the energy law; and many iterations are
 # cheap too, where a membrane that nearly touches itself needs them.
@@ -216,12 +219,13 @@ class Force:
             force = operators.force(stress)
             moved = self._moved_by(force)
             self._load.getArray()[:] = load - stress / self.interval + operators.rate(moved)
-            loaded, exerted = self._share(
-                np.sqrt(abs(load @ self.model.solve(load))), np.sqrt(abs(np.sum(force * moved))))
+            residual = self._load.getArray(readonly=True)
+            loaded, left, exerted = self._share(
+                self._size(load), self._size(residual), np.sqrt(abs(np.sum(force * moved))))
             if accuracy is None:
                 tolerance = self.rtol * np.hypot(loaded, self._free_power)
             else:
-                tolerance = max(accuracy * exerted, ROUND_OFF * loaded)
+                tolerance = max(min(accuracy * exerted, REDUCTION * left), ROUND_OFF * loaded)
             with krylov.tolerances(self.ksp, 0.0, tolerance):
                 iterations += krylov.solve(
                     self.ksp, self._load, self._change, self.fluid.name, krylov.advice(self.ksp))
@@ -234,6 +238,10 @@ class Force:
                 break
         self.stage.stress = stress
         return iterations
+
+    def _size(self, residual):
+        """Norm of a residual as the iteration measures it, on the first rank."""
+        return np.sqrt(abs(residual @ self.model.solve(residual)))
 
     def _share(self, *values):
         """Numbers of the first rank, on all.  Collective."""
