@@ -6,9 +6,13 @@ u^{n+1} in the coupled schemes), U that of the markers and f the forces on them 
     E^{n+1} - E^n = - rho (theta - 1/2) |u* - u^n|^2          inertia
                     - rho dt^2 / 2 |grad phi|^2                projection
                     - mu dt |grad w|^2                         viscous
+                    - dt w . rho N(U) w                        advection
                     - dt f . K f                               kink
                     - (theta - 1/2) |dm|^2                     tension, bending, ...: law by law
                     + wall power + body power + load power + reset.
+
+In the advection term U is the transport, and N(U) U stands for N(U) w where it is explicit; the
+implicit one is zero unless fluid passes through walls (see `fluid.advection`).
 
 dm is the change of a law's stresses that the step predicts: dt C U, and what tethers that are moved
 add.  Law by law, |C U|^2 is sigma0 |T U|^2 for the tension and c_b |D_ss U|^2 for bending.  The load
@@ -63,7 +67,7 @@ class Ledger(_ByLaw):
 
     Attributes
     ----------
-    inertia, projection, viscous, kink, wall_power, body_power, load_power, reset : float
+    inertia, projection, viscous, advection, kink, wall_power, body_power, load_power, reset : float
         The terms above.
     laws : dict of str to float
         Those of each law.
@@ -74,6 +78,7 @@ class Ledger(_ByLaw):
     inertia: float = 0.0
     projection: float = 0.0
     viscous: float = 0.0
+    advection: float = 0.0
     kink: float = 0.0
     laws: dict = field(default_factory=lambda: dict.fromkeys(LAWS, 0.0))
     wall_power: float = 0.0
@@ -139,6 +144,8 @@ def balance(problem, step):
         ledger.wall_power = mu * dt * area * (operators.wall_norm - drag)
     ledger.viscous = -mu * dt * area * gradient
 
+    if problem.advection is not None:
+        ledger.advection = -dt * area * problem.advection.power(step.transport, stage)
     if problem.body_force is not None:
         ledger.body_power = dt * area * stage.dot(problem.body_force)
 

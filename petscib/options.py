@@ -14,6 +14,7 @@ from typing import Any
 from petscib import scenes
 from petscib.coupling.kernels import KERNELS
 from petscib.errors import InputError
+from petscib.fluid.flows import FLOWS
 from petscib.settings import Settings, check, check_domain, resolve, text_of
 from petscib.vesicles import OWN, split
 
@@ -207,7 +208,10 @@ _ROWS = (
            "directions in which the box repeats itself, without walls"),
     Option("rho", POSITIVE, 1.0, FLUID, "density", "mass/area"),
     Option("mu", POSITIVE, 1.0, FLUID, "viscosity", "mass/time"),
-    Option("flow", Choice(("rest", "shear", "extensional", "poiseuille")), "rest", FLUID,
+    Option("advection", Choice(("none", "explicit", "implicit")), "none", FLUID,
+           "whether the flow carries its momentum along (Navier-Stokes), and how that is treated: "
+           "explicit is cheaper, implicit stable at any time step"),
+    Option("flow", Choice(tuple(FLOWS)), "rest", FLUID,
            "background flow: on the walls, and at the start"),
     Option("shear_rate", ANY, 1.0, FLUID, "rate of the background flow (0 at rest)", "1/time"),
     Option("body_force", Numbers(("fx", "fy")), (0.0, 0.0), FLUID,
@@ -270,8 +274,8 @@ _ROWS = (
            "`-scene list` explains"),
     Option("ts_max_time", POSITIVE, 1.0, TIME, "end time", "time"),
     Option("ts_max_steps", Whole(), None, TIME, "most steps", automatic="no limit"),
-    Option("ts_adapt", Flag(), False, TIME, "retry a failed step with half the time step, and "
-           "grow it back later"),
+    Option("ts_adapt", Flag(), False, TIME, "retry a failed step with half the time step, halve "
+           "it before explicit advection makes one fail, and grow it back later"),
 
     Option("output", Path(), None, OUTPUT, "directory of the results", automatic="out/SCENE"),
     Option("monitor", Choice(("none", "bar", "log")), None, OUTPUT, "progress on the screen",
@@ -306,6 +310,8 @@ SOLVERS = (
     ("coupled_", "velocity and pressure together, be, cn, gbe, gcn (FGMRES; CG with -fft)"),
     ("momentum_velocity_", "fluid's solve inside a block iteration; likewise coupled_velocity_"),
     ("coupled_poisson_", "pressure solve inside the preconditioner"),
+    ("momentum_advection_", "ksp_rtol and ksp_max_it of implicit advection with -fft; likewise "
+     "coupled_advection_"),
     ("momentum_model_", "direct solver in marker space; likewise coupled_model_"),
     ("momentum_stress_", "direct solver of the eliminated membrane stresses"),
     ("coupled_direct_", "direct solver of the whole matrix, without the kink correction"),
@@ -374,7 +380,7 @@ def read(database):
     values.update(scene.settings, scene=scene.name)
     values.update(given)
     check_domain(values["domain"])
-    resolve(values, set(given), scene.cfl)
+    resolve(values, set(given), scene.cfl_of(values["scheme"]))
     settings = Settings(values, given)
     for name in ("stag_grid_x", "stag_grid_y"):  # one of them may follow from the other
         value_of(TABLE[name], text_of(getattr(settings, name)))

@@ -11,6 +11,7 @@ phi = -c times the indicator of the membrane's inside, but for a constant and th
 
 from dataclasses import replace
 
+from .errors import SolveError
 from .membranes.mobility import AreaProjector
 from .solvers.poisson import PoissonSolver
 from .solvers.transforms.poisson import PoissonTransform
@@ -31,18 +32,26 @@ class ShownPressure:
 
     def __init__(self, problem, fft):
         self.problem, self.fft = problem, fft
+        self.trouble = ""
         self._poisson = None
 
     def state(self, state):
         """A state to write: the same one, or a copy with the pressure shown.
 
         The copy's history holds the pressure without jumps, from which a restart goes on; its
-        pressure belongs to this object, and is good until the next call.
+        pressure belongs to this object, and is good until the next call.  Where the jumps cannot
+        be solved for, the state is written without them, and `trouble` says why.
         """
+        self.trouble = ""
         if JUMP not in state.history:
             return state
+        try:
+            pressure = self._add_jumps(state)
+        except SolveError as error:
+            self.trouble = str(error)
+            return state
         history = {**state.history, BARE: state.pressure}
-        return replace(state, pressure=self._add_jumps(state), history=history)
+        return replace(state, pressure=pressure, history=history)
 
     def _add_jumps(self, state):
         problem, grid = self.problem, self.problem.grid

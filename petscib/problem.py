@@ -72,6 +72,8 @@ class Step:
     ledger : dict
         Terms of the energy law that are known at the markers (see `energy`), on rank 0; and the
         energy of the stresses that the step predicted.
+    transport : PETSc.Vec or None
+        What carried momentum along; None without advection.
     iterations : dict
         Linear and nonlinear iterations by solver.
     parts : tuple of Step
@@ -87,6 +89,7 @@ class Step:
     marker_velocity: np.ndarray = None
     stress_rate: np.ndarray = None
     ledger: dict = field(default_factory=dict)
+    transport: PETSc.Vec = None
     iterations: dict = field(default_factory=dict)
     parts: tuple = ()
 
@@ -99,6 +102,8 @@ class Step:
         for step in self.parts or (self,):
             if step.projection is not None:
                 step.projection.destroy()
+            if step.transport is not None and step.transport is not step.stage:
+                step.transport.destroy()
         # petsc4py frees what Python has dropped only on request, on all ranks together.
         PETSc.garbage_cleanup(PETSc.COMM_SELF)
         PETSc.garbage_cleanup(comm)
@@ -126,6 +131,8 @@ class Problem:
         Signed areas that the membranes are to keep, on rank 0; None leaves them free.
     body_force : (float, float)
         Uniform force per unit area on the fluid.
+    advection : Advection, optional
+        None: creeping flow, whose momentum is not carried along.
 
     Attributes
     ----------
@@ -136,7 +143,8 @@ class Problem:
     """
 
     def __init__(self, grid, operators, rho, mu, membranes=None, kernel=None, evolve=False,
-                 kink_correction=True, areas=None, body_force=(0.0, 0.0)):
+                 kink_correction=True, areas=None, body_force=(0.0, 0.0),
+                 advection=None):
         self.grid = grid
         self.operators = operators
         self.rho, self.mu = rho, mu
@@ -147,6 +155,7 @@ class Problem:
         self.areas = areas
         self.gaps = None if membranes is None else Gaps(membranes.curves, grid)
         self.body_force = operators.uniform_force(body_force) if any(body_force) else None
+        self.advection = advection
 
     @property
     def curves(self):
@@ -233,14 +242,34 @@ class Problem:
         interpolation.spread_add(load, rhs)
         interpolation.destroy()
 
-    def fluid_rhs(self, state, interval, rhs):
-        """Set rhs = rho / (theta dt) u^n + mu (walls' part of the Laplacian) + body force."""
+    def transport(self, state, ahead):
+        """The velocity expected a time `ahead` of a state, to carry momentum along.
+
+        Returns
+        -------
+        PETSc.Vec or None
+            A new vector; None without advection.
+        """
+        if self.advection is None:
+            return None
+        velocity = state.velocity.copy()
+        if ahead and "velocity_rate" in state.history:
+            velocity.axpy(ahead, state.history["velocity_rate"])
+        return velocity
+
+    def fluid_rhs(self, state, interval, rhs, transport=None):
+        """Set rhs = rho / (theta dt) u^n + mu (walls' part of the Laplacian) + body force.
+
+        Less the part of advection that does not depend on the solution, with a transport.
+        """
         state.velocity.copy(rhs)
         rhs.scale(self.rho / interval)
         if self.operators.wall_source is not None:
             rhs.axpy(self.mu, self.operators.wall_source)
         if self.body_force is not None:
             rhs.axpy(1.0, self.body_force)
+        if transport is not None:
+            self.advection.load(rhs, transport)
 
     def first_guess(self, state):
         """The stage velocity, extrapolated from the last two steps (a new vector)."""

@@ -32,7 +32,8 @@ PATIENCE = 5.0  # seconds that a rank which has failed waits for the others, or 
 
 def _controls(settings):
     return schemes.Controls(
-        settings.startup, settings.picard_rtol, settings.picard_max_it, settings.fft)
+        settings.startup, settings.picard_rtol, settings.picard_max_it, settings.fft,
+        settings.ts_dt)
 
 
 class Simulation:
@@ -63,7 +64,7 @@ class Simulation:
         self.longest_attempt = 0.0
         self.scheme = self.results = self.shown = None
         self.traceback = ""
-        self.writing = False
+        self.writing = self.said_too_long = False
         comm = comm or PETSc.COMM_WORLD
         self.comm = comm.tompi4py()
         self.agreement = Agreement(self.comm)
@@ -186,7 +187,7 @@ class Simulation:
             last = f"; the last checkpoint is {self.saved_in}" if self.saved_in else ""
             raise OutputError(f"results could not be written: {error}{last}") from None
         finally:
-            self.results.close()
+            self.results.release()
 
     def _run(self, after_step):
         results, settings = self.results, self.settings
@@ -194,6 +195,8 @@ class Simulation:
         last = self.last_step if self.last_step < math.inf else None
         results.monitor.start(first, self.state.time, settings.ts_max_time, last)
         self.close = guard.near(self.problem, self.state.markers)
+        if settings.monitor != "none":
+            self.remarks.insert(0, opening_line(settings, self.last_step - first))
         for remark in filter(None, [*self.remarks, self.warning, self.close]):
             results.say(f"petscib: {remark}")
         with stage("stepping"):
@@ -236,6 +239,7 @@ class Simulation:
 
     def _advance(self):
         """Take a step, with -ts_adapt in as many attempts as it needs.  Collective."""
+        self._heed_advection()
         while True:
             dt = self._next_dt()
             step, error = self._attempt(dt)
@@ -264,6 +268,20 @@ class Simulation:
             self._record(step)
         self._write_fields()
         step.discard()
+
+    def _heed_advection(self):
+        """Keep to the limit of explicit advection, or say once that the step is beyond it."""
+        advection = self.problem.advection
+        if advection is None or advection.implicit:
+            return
+        longest = advection.longest_step(self.state.velocity, self.problem.mu)
+        self.step_size.limit(longest)
+        dt = self._next_dt()
+        if dt > longest and not self.said_too_long:
+            self.said_too_long = True
+            self.results.say(
+                f"petscib: explicit advection may be unstable with time steps above {longest:.3g} "
+                f"at this speed, and this one is {dt:.3g}; try -advection implicit or -ts_adapt")
 
     def _attempt(self, dt):
         """The step and None, or None and the error that all ranks agree upon.  Collective."""
@@ -361,7 +379,8 @@ class Simulation:
         """Say once when a step has carried the membrane too far; rank 0 has the markers."""
         if not self.warning:
             self.warning = accuracy.of_step(
-                step.start.markers, step.end.markers, step.dt, self.problem.curves)
+                self.settings, step.start.markers, step.end.markers, step.dt,
+                self.problem.curves)
             if self.warning:
                 self.results.say(f"petscib: {self.warning}")
 
@@ -414,6 +433,12 @@ class Simulation:
         self.saved_at = perf_counter()
         self.saved_in = self._output(
             lambda: self.results.save(self.shown.state(self.state), self._reached(), name))
+        if self.shown.trouble:
+            self.results.say(
+                f"petscib: the pressure in {self.saved_in} is without its jumps across the "
+                f"membranes: {self.shown.trouble}")
+        if self.scheme is not None:
+            self.scheme.forget()
         return self.saved_in
 
     def _save_at_once(self):
@@ -427,8 +452,9 @@ class Simulation:
 
     def _keep(self):
         """Keep the state for the case that this or another rank fails alone.  Not collective."""
-        with phase("rescue copies"):
-            self.rescue.keep(self.state, self._reached())
+        if self.rescue.wanted:
+            with phase("rescue copies"):
+                self.rescue.keep(self.state, self._reached())
 
     def _reached(self):
         """The progress up to the present state."""

@@ -5,6 +5,7 @@ import numpy as np
 from . import outlines
 from .agreement import on_root
 from .coupling.kernels import KERNELS
+from .fluid.advection import Advection
 from .fluid.grid import Grid
 from .fluid.operators import Operators
 from .fluid.sides import Sides
@@ -53,9 +54,12 @@ def build_problem(settings, comm, header=None, remarks=None):
             if header is not None:  # those of the run's start
                 start = header.progress.reference["area"][: len(areas)]
                 areas = np.sign(areas) * np.array(start)
+    operators, advection = Operators(grid, sides), None
+    if settings.advection != "none":
+        advection = Advection(operators, settings.rho, settings.advection == "implicit")
     problem = Problem(
         grid,
-        Operators(grid, sides),
+        operators,
         settings.rho,
         settings.mu,
         membranes,
@@ -65,6 +69,7 @@ def build_problem(settings, comm, header=None, remarks=None):
         settings.kink_correction,
         areas,
         settings.body_force,
+        advection,
     )
     if header is not None:
         return problem, checkpoint.load_state(header, grid, markers, stretch)

@@ -1,4 +1,4 @@
-"""The size of the time step: fixed, or halved when a step fails and grown back (-ts_adapt)."""
+"""The size of the time step: fixed, or halved when need be and grown back (-ts_adapt)."""
 
 SMALLEST = 1e-3  # of the largest step: below it, halving once more would not help
 GROW_AFTER = 5  # good steps in a row
@@ -31,6 +31,11 @@ class StepSize:
             return False
         self.dt, self.good_steps = dt / 2, 0
         return True
+
+    def limit(self, longest):
+        """Heed a time step beyond which the next step would fail."""
+        while self.adapt and self.dt > longest and self.dt / 2 >= SMALLEST * self.largest:
+            self.dt, self.good_steps = self.dt / 2, 0
 
     def accept(self):
         """Take note of a good step."""

@@ -22,6 +22,7 @@ from petscib.solvers import krylov
 OPTIONS = [word for name, text in SMALL.items() for word in (f"-{name}", text)]
 # Starts petscib with something broken: the production code has no hook for tests.
 DRIVER = """
+import sys
 sys.argv[0] = "petscib"
 from petscib.__main__ import main
 import petsc4py

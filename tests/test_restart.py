@@ -10,7 +10,7 @@ from runs import SMALL, arrays, assert_same_run, comm, prepare, rows, run
 
 from petscib import options, restart, schemes
 from petscib.errors import InputError, SolveError
-from petscib.output import tables
+from petscib.output import lock, plots, tables
 from petscib.output.checkpoint import Progress
 from petscib.stepsize import GROW_AFTER, SMALLEST, StepSize
 
@@ -207,6 +207,20 @@ def test_files_of_the_user_are_left_alone(tmp_path):
     assert (tmp_path / "previous-1" / "mine.txt").read_text() == "kept"
     assert (tmp_path / "previous-2" / "animation.gif").read_text() == "animation.gif"
     assert (tmp_path / "previous-2" / "outlines.png").read_text() == "outlines.png"
+
+
+def test_every_file_of_a_run_is_known_and_set_aside(tmp_path):
+    """But for the lock, which goes with the run."""
+    words = {"plot": "yes", "xdmf_every": "1", "checkpoint_every": "1", "ledger": "record"}
+    folder = tmp_path / "run"
+    run(folder, ts_max_steps="3", **words)
+    plots.animate(str(folder))
+    before = {path.name for path in folder.iterdir()}
+    assert {"animation.gif", "ledger.png", "fields.png", "fields.xdmf", "final.h5"} < before
+    prepare(folder)
+    assert {path.name for path in (folder / "previous").iterdir()} == before
+    assert {path.name for path in folder.iterdir()} == {
+        lock.NAME, "previous", "diagnostics.csv", "outlines.csv"}
 
 
 def test_the_default_folder_does_not_matter_to_a_restart_elsewhere(finished, tmp_path, monkeypatch):

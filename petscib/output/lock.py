@@ -5,6 +5,7 @@ import fcntl
 import os
 import socket
 import time
+from contextlib import suppress
 
 NAME = ".petscib.lock"
 # A file system that cannot lock: an old NFS, or Lustre mounted without it.
@@ -15,7 +16,7 @@ class Lock:
     """Holds a folder against other runs.  Rank 0 only.
 
     The system drops the lock with the process, after kill -9 too, and heeds it over a network file
-    system.  The file itself stays; who has taken it last can be read in it.
+    system.  Who holds it can be read in its file.
 
     Parameters
     ----------
@@ -33,17 +34,32 @@ class Lock:
     """
 
     def __init__(self, folder):
-        self._file = open(os.path.join(folder, NAME), "a+")  # it stays open
-        self.holds = _try(self._file, fcntl.LOCK_EX, folder)
+        self._path = os.path.join(folder, NAME)
+        while True:
+            self._file = open(self._path, "a+")  # it stays open
+            self.holds = _try(self._file, fcntl.LOCK_EX, folder)
+            if not self.holds or self._is_there():
+                break
+            self._file.close()  # its holder has removed it in between
         if self.holds:
             now = time.strftime("%Y-%m-%d %H:%M:%S")
             self._file.truncate(0)
             self._file.write(f"process {os.getpid()} on {socket.gethostname()} since {now}\n")
             self._file.flush()
 
+    def _is_there(self):
+        try:
+            return os.path.samestat(os.fstat(self._file.fileno()), os.stat(self._path))
+        except FileNotFoundError:
+            return False
+
     def release(self):
         """Let others have the folder.  May be called twice."""
-        self._file.close()
+        if not self._file.closed:
+            if self.holds:
+                with suppress(OSError):
+                    os.unlink(self._path)
+            self._file.close()
 
 
 def check(folder):

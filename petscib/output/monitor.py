@@ -234,6 +234,33 @@ def create(name=None, stream=None):
     return BarMonitor(stream)
 
 
+def opening_line(settings, steps):
+    """What a run is going to do, and on which solvers: its first line.
+
+    Parameters
+    ----------
+    settings : Settings
+    steps : int or float
+        Those to come; infinite when nobody knows.
+    """
+    coupled = settings.scheme not in ("ep", "mbe", "mcn")
+    if settings.fft:
+        solvers = "transforms" + (" and CG" if settings.vesicles else "")
+        others = "without -fft multigrid"
+    elif coupled:
+        solvers = "FGMRES with GAMG for velocity and pressure together"
+        others = "-fft: transforms, -scheme mcn: CG with GAMG for velocity, then for pressure"
+    else:
+        solvers = "CG with GAMG for velocity, then for pressure"
+        others = "-fft: transforms"
+    count = f"{steps:.0f} steps to t = {settings.ts_max_time:g}" if math.isfinite(steps) else (
+        f"steps to t = {settings.ts_max_time:g}")
+    return (
+        f"{settings.scene}, {settings.stag_grid_x} x {settings.stag_grid_y} cells, {settings.scheme}"
+        f" with dt = {settings.ts_dt:.4g}, {count}; {solvers} ({others})"
+    )
+
+
 def closing_lines(summary):
     """The last lines of a run.
 

@@ -60,12 +60,6 @@ DISSIPATION = (
 )
 SUPPLY_NAMES = {"wall_power": "walls", "reset": "stretching reset"}
 
-#: The pictures that `plot_all` draws, and what `animate` makes.
-PICTURES = (
-    "outlines.png", "inclination.png", "conservation.png", "energy.png", "ledger.png", "fields.png",
-)
-ANIMATIONS = "animation.gif", "animation.mp4"
-
 PANELS = 8
 FRAMES = 150
 FRAMES_PER_SECOND = 15

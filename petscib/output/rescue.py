@@ -34,14 +34,19 @@ class Rescue:
     Parameters
     ----------
     comm : mpi4py communicator
+
+    Attributes
+    ----------
+    wanted : bool
+        Whether there are other ranks, and files in memory.
     """
 
     def __init__(self, comm):
-        self.comm = comm
+        self.wanted = comm.size > 1 and hasattr(os, "memfd_create")  # Linux
         self.spent = 0.0
         self.began = perf_counter()
         self._file, mine = None, ""
-        if comm.size > 1 and hasattr(os, "memfd_create"):  # Linux
+        if self.wanted:
             self._file = os.fdopen(os.memfd_create("petscib"), "w+b", 0)
             mine = f"/proc/{os.getpid()}/fd/{self._file.fileno()}"
         # A path on another machine would lead to another program's file, or nowhere.
@@ -51,12 +56,10 @@ class Rescue:
     def is_due(self):
         """Whether there is time to keep the next state.  Not collective."""
         allowed = ALLOWANCE + SHARE * (perf_counter() - self.began)
-        return self._file is not None and self.spent < allowed
+        return self.wanted and self.spent < allowed
 
     def keep(self, state, progress):
         """Keep this rank's part of a state, if there is room.  Not collective."""
-        if self._file is None:
-            return
         begin = perf_counter()
         pieces = []
         parts = _each(_part, state)

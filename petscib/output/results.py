@@ -16,13 +16,16 @@ from .. import diagnostics, installation
 from ..errors import InputError, ours
 from . import checkpoint, files, lock, monitor, tables
 from .files import on_root
-from .plots import ANIMATIONS, PICTURES
 
 PREVIOUS = "previous"  # subfolder for what a new run would otherwise overwrite
 TABLES = ("diagnostics.csv", "outlines.csv")
 SAVED = (*checkpoint.NAMES, "fields-#.h5")
 TRACEBACK = "traceback.txt"
-OTHERS = ("fields.xdmf", "vesicles.xdmf", "summary.json", TRACEBACK, *PICTURES, *ANIMATIONS)
+PICTURES = (
+    "outlines.png", "inclination.png", "conservation.png", "energy.png", "ledger.png", "fields.png",
+    "animation.gif", "animation.mp4",
+)
+OTHERS = ("fields.xdmf", "vesicles.xdmf", "summary.json", TRACEBACK, *PICTURES)
 OURS = (*TABLES, *SAVED, *OTHERS)  # all that a run writes; nothing else is touched
 
 

@@ -30,12 +30,15 @@ class Controls:
         When the tangent of the geometric schemes has converged, and when it has failed to.
     fft : bool
         Whether transforms solve the fluid's equations exactly.
+    dt : float
+        The usual time step, by which solvers are chosen.
     """
 
     startup: int = 0
     picard_rtol: float = 1e-9
     picard_max_it: int = 100
     fft: bool = False
+    dt: float = 0.0
 
 
 class Solvers:
@@ -44,11 +47,11 @@ class Solvers:
     Parameters
     ----------
     problem : Problem
-    fft : bool
+    controls : Controls
     """
 
-    def __init__(self, problem, fft):
-        self.problem, self.fft = problem, fft
+    def __init__(self, problem, controls):
+        self.problem, self.fft, self.dt = problem, controls.fft, controls.dt
 
     def momentum(self):
         """Of the momentum system."""
@@ -60,8 +63,11 @@ class Solvers:
         return self._fluid(Stokes, lambda: StokesTransform(problem.grid, problem.operators))
 
     def _fluid(self, kind, transform):
-        problem = self.problem
-        return kind(problem.operators, problem.rho, problem.mu, transform() if self.fft else None)
+        problem, advection = self.problem, self.problem.advection
+        if advection is not None and not advection.implicit:
+            advection = None
+        return kind(problem.operators, problem.rho, problem.mu, transform() if self.fft else None,
+                    advection)
 
     def poisson(self):
         """Of the pressure's Poisson problem."""
@@ -93,5 +99,5 @@ SCHEMES = {
 
 def create(name, problem, controls=Controls()):
     """The scheme of this name for a problem.  Collective."""
-    scheme = SCHEMES[name](problem, Solvers(problem, controls.fft), controls)
+    scheme = SCHEMES[name](problem, Solvers(problem, controls), controls)
     return Startup(scheme, controls.startup) if controls.startup else scheme

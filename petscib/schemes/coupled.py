@@ -18,7 +18,7 @@ class Coupled(StageScheme):
     """
 
     def __init__(self, problem, theta, solvers):
-        super().__init__(problem, theta, solvers.stokes())
+        super().__init__(problem, theta, solvers.stokes(), solvers.dt)
 
     def step(self, state, dt):
         """Take one step from `state`.  Collective.  Returns a Step."""

@@ -24,6 +24,8 @@ class Geometric(StageScheme):
     position, so that the area stays too.  Crank-Nicolson also interpolates and spreads there,
     which makes it second order in time.
 
+    Implicit advection is by the stage velocity itself, from the last pass.
+
     All this depends on the new positions: Picard iteration with Anderson acceleration, starting
     from the positions that the velocities of the last two steps let expect.
 
@@ -40,8 +42,12 @@ class Geometric(StageScheme):
     """
 
     def __init__(self, problem, theta, solvers, controls):
-        super().__init__(problem, theta, solvers.stokes())
+        super().__init__(problem, theta, solvers.stokes(), solvers.dt)
         self.controls = controls
+        advection = problem.advection
+        self._carried = None  # the transport of a pass
+        if advection is not None and advection.implicit:
+            self.extrapolates, self._carried = False, problem.grid.velocity_vector()
 
     def step(self, state, dt):
         """Take one step from `state`.  Collective.  Returns a Step."""
@@ -65,6 +71,9 @@ class Geometric(StageScheme):
                 if self.theta < 1:
                     interpolation = self._move(interpolation, (state.markers + guess) / 2)
                 operators = problem.operators_between(state.markers, guess, interpolation)
+                if self._carried is not None:
+                    stage.velocity.copy(self._carried)
+                    problem.advection.carry(self._carried)
                 # rho (w - u^n) / (theta dt) + grad p = mu Laplacian w + F[f],  div w = 0,
                 # f = - C^T m,  m = m0 + theta dt C U,  U = J w + K f
                 stress = self.free_stress(state, dt, stage, operators)
@@ -76,11 +85,17 @@ class Geometric(StageScheme):
                 motion = self.marker_velocity(stage, operators)
                 markers = state.markers + dt * motion
                 change = self._relative_change(guess, markers, state.markers)
+                if self._carried is not None:
+                    self._carried.axpy(-1.0, stage.velocity)
+                    change = max(change, self._carried.norm() / stage.velocity.norm())
                 guess = acceleration.next(guess, markers)
             passes += 1
 
         with phase("coupled solve"):
             system.finish()
+        if self._carried is not None:
+            self._transport.destroy()
+            self._transport = stage.velocity
         # u^{n+1} = u^n + (w - u^n) / theta
         velocity = self.end_velocity(state, stage)
         step = self.finish(

@@ -18,7 +18,8 @@ class StageScheme:
         rho (w - u^n) / (theta dt) + grad p = mu Laplacian w + F[f],    div w = 0,
         f = - C^T m,    m = m0 + theta dt C U,    U = Pi J w + K f,
 
-    without grad p and div w = 0 in the modified schemes; m are the membranes' stresses (see
+    without grad p and div w = 0 in the modified schemes, and with advection rho N(U) w on the left,
+    or rho N(U) U on the right; m are the membranes' stresses (see
     `petscib.membranes.laws`), C U = sqrt(sigma0 ds) T U for the tension.
 
     Parameters
@@ -26,20 +27,25 @@ class StageScheme:
     problem : Problem
     theta : float
     fluid : Momentum or Stokes
+    dt : float
+        The usual time step.
     acts : bool
         Whether the membranes' forces are in the stage equations.
     """
 
     advice = "try a smaller -ts_dt"
 
-    def __init__(self, problem, theta, fluid, acts=True):
+    def __init__(self, problem, theta, fluid, dt, acts=True):
         self.problem = problem
         self.theta = theta
         self.system = ImplicitSystem(
-            fluid, problem.membranes if acts else None, problem.kernel, problem.kink_correction)
+            fluid, problem.membranes if acts else None, problem.kernel, problem.kink_correction,
+            theta * dt)
         self._rhs, self._load = problem.grid.velocity_vector(), None
         if problem.loaded:
             self._load = problem.grid.velocity_vector()
+        # Where the stage lies ahead of the start, the transport is that of a stage to come.
+        self.extrapolates = problem.advection is not None and theta < 1
 
     def begin(self, state, dt, markers=None):
         """Set the fluid's part of the right-hand side, and the first guess.  Collective.
@@ -57,7 +63,9 @@ class StageScheme:
             Extrapolated from the last two steps.
         """
         problem = self.problem
-        problem.fluid_rhs(state, self.theta * dt, self._rhs)
+        ahead = self.theta * dt if self.theta < 1 else 0.0
+        self._transport = problem.transport(state, ahead)
+        problem.fluid_rhs(state, self.theta * dt, self._rhs, self._transport)
         stress, history, load = problem.stress(state), state.history, 0.0
         if "stress" in history:
             fixed = history["stress"] + history.get("stress_change", 0.0)
@@ -132,9 +140,18 @@ class StageScheme:
             if operators.projector is not None and stage.stress is not None:
                 force = operators.force(stage.stress) + stage.load
                 history[JUMP] = operators.projector.component(force)
+        if self.extrapolates:
+            rate = velocity.copy()
+            rate.axpby(-1 / dt, 1 / dt, state.velocity)
+            history["velocity_rate"] = rate
         end = State(state.step + 1, state.time + dt, velocity, stage.pressure, markers, stretch,
                     history)
-        return Step(dt, self.theta, state, end, stage.velocity, marker_velocity=motion, **rest)
+        return Step(dt, self.theta, state, end, stage.velocity, marker_velocity=motion,
+                    transport=self._transport, **rest)
+
+    def forget(self):
+        """Drop what depends on earlier steps and is in no checkpoint."""
+        self.system.forget()
 
     def destroy(self):
         """Free the solver."""

@@ -13,6 +13,7 @@ from .model import MarkerModel
 
 
 ROUND_OFF = 1e-14  # relative tolerance below which no residual gets
+REDUCTION = 0.1  # of the residual, that a pass of the tangent iteration makes at least
 
 
 class Block:
@@ -36,6 +37,7 @@ class Block:
                                      for _ in range(2))
         self._force = self.fluid.grid.velocity_vector()
         self._solution, self._load = map(krylov.join, (self._unknowns, self._rhs))
+        self._residual = self._load.duplicate()
         self._operator = krylov.Operator(self._solution, self)
         self.ksp = krylov.create(
             self._operator.matrix, fluid.prefix,
@@ -45,6 +47,7 @@ class Block:
     def begin(self, rhs, stage):
         """Take right-hand side and first guess."""
         self.rhs, self.stage = rhs, stage
+        self.model.begin()
 
     def update(self, interval, operators, stress):
         """Set the system for a configuration of the membranes."""
@@ -111,7 +114,10 @@ class Block:
         force = self.operators.force(self.stage.stress)
         power = np.sum(force * self.operators.slip_velocity(force))
         power = self.fluid.grid.comm.tompi4py().bcast(float(power))
-        return ROUND_OFF, accuracy * self._weight * np.sqrt(power)
+        self.mult(self._solution, self._residual)
+        self._residual.aypx(-1.0, self._load)
+        most = REDUCTION * self._residual.norm()
+        return ROUND_OFF, min(accuracy * self._weight * np.sqrt(power), most)
 
     def marker_velocity(self):
         """U of the last solution."""
@@ -132,6 +138,6 @@ class Block:
         if pc is not None:
             return
         self.model.destroy()
-        for part in (self.ksp, self._operator, self._solution, self._load, self._force,
+        for part in (self.ksp, self._operator, self._solution, self._load, self._residual, self._force,
                      *self._unknowns, *self._rhs):
             part.destroy()

@@ -37,6 +37,7 @@ class Operator:
     def mult(self, matrix, x, y):
         """What PETSc calls."""
         self.action.mult(x, y)
+        y.stateIncrease()  # set through its parts
 
     def view(self, matrix, viewer):
         """What PETSc calls for -ksp_view."""
@@ -172,6 +173,8 @@ def solve(ksp, rhs, solution, what, advice):
     SolveError
         On every rank, when the solve does not converge.
     """
+    if rhs.getType() == "nest":
+        rhs.stateIncrease()  # set through its parts: PETSc must not take its norm for known
     ksp.solve(rhs, solution)
     diverged = ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_DTOL
     if diverged and ksp.getInitialGuessNonzero():

@@ -141,6 +141,10 @@ class MarkerModel:
         ]
         self._interval, self._order = interval, None
 
+    def begin(self):
+        """Keep nothing from the last time step, so that a restart is the uninterrupted run."""
+        self._rates = None
+
     def update(self, interval, operators):
         """Factor for theta dt = `interval` and the membranes' configuration.
 
@@ -154,7 +158,7 @@ class MarkerModel:
         rates = operators.rates.data
         if interval != self._interval:
             self._fit(interval)
-        elif abs(rates - self._rates).max() <= KEPT * abs(rates).max():
+        elif self._rates is not None and abs(rates - self._rates).max() <= KEPT * abs(rates).max():
             return
         self._rates = rates
         stress = self._stress.matrix(interval, operators)

@@ -22,11 +22,13 @@ class Momentum:
     rho, mu : float
     transform : HelmholtzTransform, optional
         Exact inverse; without it, multigrid.
+    advection : Advection, optional
+        Added to A0 in products, and left out of preconditioner and inverse.
 
     Attributes
     ----------
     matrix : PETSc.Mat
-        Symmetric positive definite; wall faces have decoupled rows.
+        A0, symmetric positive definite; wall faces have decoupled rows.
     interval : float or None
         The theta dt that the matrix is made for.
     """
@@ -36,10 +38,13 @@ class Momentum:
     defaults = {"ksp_type": "cg", "ksp_rtol": 1e-6, "ksp_max_it": 500, "pc_type": "gamg"}
     symmetric = True
 
-    def __init__(self, operators, rho, mu, transform=None):
+    def __init__(self, operators, rho, mu, transform=None, advection=None):
         self.operators, self.grid = operators, operators.grid
         self.rho, self.mu = rho, mu
         self.transform = transform
+        self.advection = advection
+        if advection is not None:  # then products are not symmetric
+            self.defaults = {**self.defaults, "ksp_type": "fgmres"}
         self.interval = None
         self.matrix = operators.laplacian.duplicate()
         self.matrix.setOption(PETSc.Mat.Option.SPD, True)
@@ -59,6 +64,8 @@ class Momentum:
 
     def elimination_pays(self, interval):
         """Whether conjugate gradients with the stresses eliminated are the default."""
+        if self.advection is not None:
+            return False
         diffusion = np.sqrt(self.mu * interval / self.rho)
         return diffusion <= FARTHEST * min(self.grid.dx, self.grid.dy)
 
@@ -78,8 +85,10 @@ class Momentum:
         """Set the right-hand sides of what is not the momentum equation: here none."""
 
     def mult(self, x, y):
-        """y = A0 x for lists of blocks."""
+        """y = A0 x, or (A0 + rho N) x with advection, for lists of blocks."""
         self.matrix.mult(x[0], y[0])
+        if self.advection is not None:
+            self.advection.add(x[0], y[0])
 
     def solve(self, rhs, velocity, pressure=None):
         """Solve A0 w = rhs exactly, by transforms."""

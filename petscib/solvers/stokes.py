@@ -21,6 +21,8 @@ class Stokes(Momentum):
     rho, mu : float
     transform : StokesTransform, optional
         Exact inverse; without it, multigrid.
+    advection : Advection, optional
+        As in Momentum.
     """
 
     name, prefix = "coupled", "coupled_"
@@ -32,8 +34,8 @@ class Stokes(Momentum):
     }
     symmetric = False
 
-    def __init__(self, operators, rho, mu, transform=None):
-        super().__init__(operators, rho, mu, transform)
+    def __init__(self, operators, rho, mu, transform=None, advection=None):
+        super().__init__(operators, rho, mu, transform, advection)
         self._poisson = None
         self._slope = self.grid.velocity_vector()
         self._excess = self.grid.pressure_vector()

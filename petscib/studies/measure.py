@@ -1,10 +1,8 @@
 """One petscib run with a clock on its steps, and after each step a fast solve for comparison.
 
-``mpiexec -n N python -m petscib.studies.measure [petscib's options] [-warm_up STEPS]
-[-direct true]`` leaves the usual results and ``measurement.json``.  Here a fast solve is the
-inverse of A0 = rho/dt - mu Laplacian by transforms, for u and v, forth and back: the least that
-an implicit step can cost.  With -direct, scipy's sparse LU of the assembled momentum matrix is
-timed too, at the end.
+``mpiexec -n N python -m petscib.studies.measure [petscib's options] [-warm_up STEPS]`` leaves the
+usual results and ``measurement.json``.  Here a fast solve is the inverse of A0 = rho/dt - mu
+Laplacian by transforms, for u and v, forth and back: the least that an implicit step can cost.
 """
 
 import argparse
@@ -21,7 +19,6 @@ def main(arguments=None):
     """Run and measure.  Collective.  Returns the exit status."""
     parser = argparse.ArgumentParser(allow_abbrev=False, add_help=False)
     parser.add_argument("-warm_up", type=int, default=2)
-    parser.add_argument("-direct", choices=("true", "false"), default="false")
     ours, others = parser.parse_known_args(arguments)
 
     import petsc4py
@@ -40,8 +37,6 @@ def main(arguments=None):
         try:
             simulation.run(clock.tick)
             record = clock.record()
-            if ours.direct == "true":
-                record["direct_seconds"] = direct_seconds(simulation)
         finally:
             simulation.destroy()
     except (InputError, SolveError, OutputError) as error:
@@ -132,31 +127,6 @@ class FastSolve:
         self.transform.solve(self.rhs, self.answer)
         self.comm.Barrier()
         return perf_counter() - began
-
-
-def direct_seconds(simulation):
-    """Seconds to factor the momentum matrix by scipy, and to solve with it once.  One rank."""
-    from petsc4py import PETSc
-    from scipy.sparse import csr_matrix
-    from scipy.sparse.linalg import splu
-
-    from ..solvers.momentum import FluidMatrix, ImplicitForce
-
-    problem, state, dt = simulation.problem, simulation.state, simulation.settings.ts_dt
-    membrane = problem.membrane
-    fluid = FluidMatrix(problem.operators, problem.rho, problem.mu)
-    fluid.update(dt)
-    stiffness = membrane.stiffness(membrane.tangent(state.markers))
-    matrix = ImplicitForce(problem.interpolation(state.markers), stiffness, dt).assemble()
-    matrix.axpy(1.0, fluid.matrix, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-    starts, columns, values = matrix.getValuesCSR()
-    table = csr_matrix((values, columns, starts), shape=matrix.getSize()).tocsc()
-    began = perf_counter()
-    # Orders and pivots for a symmetric positive definite matrix.
-    factor = splu(table, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0,
-                  options={"SymmetricMode": True})
-    factor.solve(state.velocity.getArray(readonly=True))
-    return perf_counter() - began
 
 
 if __name__ == "__main__":
