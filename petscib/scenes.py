@@ -137,6 +137,25 @@ _SCENES = (
         dict(flow="poiseuille", shear_rate=1.0, vesicles=0, ts_max_time=1.0),
         cfl=0.5,
     ),
+    Scene(
+        "inertia",
+        "a vesicle in shear flow at a Reynolds number of 10, by the radius of its area",
+        dict(flow="shear", shear_rate=1.0, rho=80.0, mu=1.0, axes=(0.25, 0.5), sigma0=1e5,
+             bending=0.01, advection="implicit", scheme="gcn", ts_max_time=10.0),
+    ),
+    Scene(
+        "cavity",
+        "fluid under a sliding lid at a Reynolds number of rho / mu (Ghia, Ghia & Shin 1982)",
+        dict(flow="cavity", shear_rate=1.0, domain=(0.0, 1.0, 0.0, 1.0), rho=1.0, mu=0.01,
+             vesicles=0, advection="implicit", scheme="be", ts_max_time=25.0),
+        cfl=4.0,
+    ),
+    Scene(
+        "taylor-green",
+        "vortices decay in a periodic box: an exact solution of the Navier-Stokes equations",
+        dict(flow="taylor-green", shear_rate=1.0, periodic="xy", mu=0.01, vesicles=0,
+             advection="implicit", scheme="cn", ts_max_time=2.0),
+    ),
 )
 
 SCENES = {scene.name: scene for scene in _SCENES}

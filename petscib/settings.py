@@ -300,7 +300,7 @@ def _check_choices(settings):
                     "none, or another scheme")
     if settings.flow == "rest" and settings.shear_rate != 0:
         _refuse(settings, ("shear_rate",), "the flow is rest",
-                "0, or another -flow")
+                "0, or -flow " + ", ".join(flow for flow in FLOWS if flow != "rest"))
     along = sorted(set(VARIES[settings.flow]) & set(settings.periodic))
     if along:
         fit = [flow for flow, varies in VARIES.items() if not set(varies) & set(settings.periodic)]

@@ -122,7 +122,8 @@ class ImplicitSystem:
             return Elimination(fluid, membranes, kernel, literal=True)
         exact = fluid.transform is not None
         default = "cg" if exact or fluid.elimination_pays(interval) else "fgmres"
-        if "cg" not in PETSc.Options(fluid.prefix).getString("ksp_type", default):
+        eliminates = exact or fluid.symmetric
+        if not eliminates or "cg" not in PETSc.Options(fluid.prefix).getString("ksp_type", default):
             return Block(fluid, membranes, kernel)
         return (Force if exact else Elimination)(fluid, membranes, kernel)
 
