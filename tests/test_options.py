@@ -410,7 +410,9 @@ NUMBER = st.floats(1e-12, 1e12)
 
 @hypothesis_settings(max_examples=60, deadline=None, derandomize=True, database=None)
 @given(st.fixed_dictionaries({}, optional={
-    "scene": st.sampled_from([name for name in scenes.SCENES if name != "driven"]),
+    "scene": st.sampled_from([
+        name for name in scenes.SCENES
+        if name not in ("driven", "suspension", "ripple", "taylor-green", "cavity")]),
     "scheme": st.sampled_from(options.SCHEMES),
     "fft": st.sampled_from([None, "", "yes", "off"]),
     "plot": st.booleans().map(str),
