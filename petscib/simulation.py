@@ -18,6 +18,7 @@ from .events import phase, stage
 from .interrupt import Interrupt
 from .output import checkpoint
 from .output.checkpoint import Progress
+from .output.monitor import opening_line
 from .output.rescue import Rescue
 from .output.results import TRACEBACK, Results
 from .pressure import ShownPressure

@@ -82,7 +82,7 @@ WRONG = [
     ("output", os.path.join(__file__, "below"), "is a file"),
     ("output", "/proc/petscib", "/proc/petscib: No such file or directory"),
     ("marker_file", "none.txt", "gives the shape already"),
-    ("rest_length", "-1", "number above 0"),
+    ("rest_length", "-1", "number from 0"),
 ]
 
 
@@ -192,7 +192,7 @@ def test_a_right_marker_file(tmp_path, no_axes, turn):
     comm.Barrier()
     database = {**SMALL, "output": str(tmp_path / "out"), "marker_file": str(path)}
     simulation = Simulation(options.read(database))
-    markers, ds = simulation.state.markers, simulation.problem.membrane.ds
+    markers, ds = simulation.state.markers, simulation.problem.membranes.curves.ds[:1]
     simulation.destroy()
     count = comm.bcast(len(markers))
     assert count == round(0.8 * np.pi / (1 / 24)) and np.isclose(count * ds, 0.8 * np.pi, 1e-6)

@@ -65,7 +65,7 @@ def test_layout_and_natural_order(tmp_path):
     assert found["vesicle_0/stretch"].shape == found["vesicle_0/rest_stretch"].shape == (count,)
     assert {values.dtype for values in found.values()} == {np.dtype("f8")}
     with h5py.File(path, "r") as file:
-        assert file.attrs["format_version"] == 2 and file.attrs["scheme"] == "mbe"
+        assert file.attrs["format_version"] == 2 and file.attrs["scheme"] == "gcn"
         assert json.loads(file.attrs["options"])["stag_grid_y"] == 30
         assert file["fluid/u"].attrs["location"] == "x-faces"
         assert file["fluid/u"].attrs["unit"] == "length/time"
