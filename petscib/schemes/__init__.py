@@ -3,11 +3,8 @@
 from dataclasses import dataclass
 
 from ..solvers.momentum import Momentum
-from ..solvers.poisson import PoissonSolver
+from ..solvers.poisson import poisson_solver
 from ..solvers.stokes import Stokes
-from ..solvers.transforms.helmholtz import HelmholtzTransform
-from ..solvers.transforms.poisson import PoissonTransform
-from ..solvers.transforms.stokes import StokesTransform
 from .coupled import Coupled
 from .explicit import Explicit
 from .geometric import Geometric
@@ -55,10 +52,14 @@ class Solvers:
 
     def momentum(self):
         """Of the momentum system."""
+        from ..solvers.transforms.helmholtz import HelmholtzTransform
+
         return self._fluid(Momentum, lambda: HelmholtzTransform(self.problem.grid))
 
     def stokes(self):
         """Of velocity and pressure together."""
+        from ..solvers.transforms.stokes import StokesTransform
+
         problem = self.problem
         return self._fluid(Stokes, lambda: StokesTransform(problem.grid, problem.operators))
 
@@ -71,8 +72,7 @@ class Solvers:
 
     def poisson(self):
         """Of the pressure's Poisson problem."""
-        transform = PoissonTransform(self.problem.grid) if self.fft else None
-        return PoissonSolver(self.problem.operators, transform=transform)
+        return poisson_solver(self.problem.operators, self.fft)
 
 
 def _geometric(problem, theta, solvers, controls):
