@@ -220,7 +220,7 @@ def test_log_view_shows_stages_and_events(mpirun):
     assert {"set-up", "stepping", "output"} <= set(stages)
     assert "\nset-up " in stages["set-up"] and "\noutput " in stages["output"]
     assert "KSPSolve" not in stages["set-up"]
-    for name in (*MARKERS, *TUBE, *PROJECTION, "diagnostics", "ledger", "checks"):
+    for name in (*MARKERS, *MODEL, *PROJECTION, "diagnostics", "ledger", "checks"):
         assert f"\n{name} " in stages["stepping"], name
     for name in ("coupled solve", "tangent iteration", "momentum assembly"):
         assert name not in text

@@ -277,7 +277,9 @@ def test_treading_is_seen_from_the_middle_of_a_drifting_vesicle(tmp_path):
     rows = []
     for drift in (0.0, 3.0):
         end = replace(start, markers=markers - dt * np.array([drift, 0.0]), time=dt)
-        rows.append(simulation.diagnostics.row(end, Step(dt, 1.0, start, end, start.velocity)))
+        motion = (end.markers - start.markers) / dt
+        step = Step(dt, 1.0, start, end, start.velocity, marker_velocity=motion)
+        rows.append(simulation.diagnostics.row(end, step))
     assert rows[0]["treading_frequency"] > 0
     assert rows[1]["treading_frequency"] == pytest.approx(rows[0]["treading_frequency"], rel=1e-9)
     assert rows[0]["centroid_x"] - rows[1]["centroid_x"] == pytest.approx(0.3)

@@ -52,16 +52,21 @@ class Solvers:
 
     def momentum(self):
         """Of the momentum system."""
-        from ..solvers.transforms.helmholtz import HelmholtzTransform
+        def transform():
+            from ..solvers.transforms.helmholtz import HelmholtzTransform
 
-        return self._fluid(Momentum, lambda: HelmholtzTransform(self.problem.grid))
+            return HelmholtzTransform(self.problem.grid)
+
+        return self._fluid(Momentum, transform)
 
     def stokes(self):
         """Of velocity and pressure together."""
-        from ..solvers.transforms.stokes import StokesTransform
+        def transform():
+            from ..solvers.transforms.stokes import StokesTransform
 
-        problem = self.problem
-        return self._fluid(Stokes, lambda: StokesTransform(problem.grid, problem.operators))
+            return StokesTransform(self.problem.grid, self.problem.operators)
+
+        return self._fluid(Stokes, transform)
 
     def _fluid(self, kind, transform):
         problem, advection = self.problem, self.problem.advection
