@@ -10,6 +10,7 @@ import numpy as np
 
 from .fluid.flows import FLOWS
 from .membranes import geometry
+from .schemes.registry import SCHEMES
 
 # Radians, or strain, and parts of the radius of a circle of the vesicle's area, by the scheme's
 # order in time.
@@ -18,7 +19,7 @@ LARGEST_MOVE = {1: 0.25, 2: 1.0}
 
 
 def _order(settings):
-    return 2 if settings.scheme == "gcn" else 1
+    return SCHEMES[settings.scheme].order
 
 
 def of_flow(settings, markers, curves=None):
