@@ -59,14 +59,14 @@ _SCENES = (
         "relaxation",
         "an elliptical vesicle relaxes in fluid at rest (Hu & Lai, section 4.1)",
         dict(flow="rest", axes=(0.2, 0.5), sigma0=1e5, bending=0.01, scheme="cn",
-             delta="bspline43", ts_max_time=0.125),
+             ts_max_time=0.125),
         cfl=0.25,
     ),
     Scene(
         "stiff",
         "a nearly inextensible thin vesicle in fluid at rest (Hu & Lai, section 4.2)",
         dict(flow="rest", axes=(0.1, 0.5), sigma0=1e9, bending=0.01, scheme="gcn",
-             delta="bspline43", ts_max_time=1.0),
+             ts_max_time=1.0),
     ),
     Scene(
         "elastic",

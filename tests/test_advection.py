@@ -1,4 +1,5 @@
 """Advection: the operator, its energy, its solves, and what the program does with it."""
+import os
 from contextlib import contextmanager
 
 import dense
@@ -14,6 +15,8 @@ from petscib.fluid.advection import LARGEST_CFL, Advection
 from petscib.fluid.flows import FLOWS
 from petscib.simulation import Simulation
 from petscib.stepsize import StepSize
+from petscib.studies import navierstokes
+from petscib.studies.campaign import Campaign
 
 comm = MPI.COMM_WORLD
 SCHEMES = "mbe", "mcn", "be", "cn", "gbe", "gcn"
@@ -269,15 +272,8 @@ def extremes(simulation):
     """Least u on the vertical mid-line, most and least v on the horizontal one; parabolas."""
     u, v = velocity_of(simulation)
     across, up = v[len(v) // 2], u[:, u.shape[1] // 2]
-    return [vertex(values, pick) for values, pick in (
+    return [navierstokes.vertex(values, pick) for values, pick in (
         (up, np.argmin), (across, np.argmax), (across, np.argmin))]
-
-
-def vertex(values, pick):
-    """The extremum of the parabola through the extreme entry and its neighbours."""
-    k = pick(values)
-    left, middle, right = values[k - 1 : k + 2]
-    return middle - (right - left) ** 2 / (8 * (left - 2 * middle + right))
 
 
 def test_the_cavity_at_reynolds_number_100(tmp_path):
@@ -318,7 +314,7 @@ def test_order_in_time(tmp_path, scheme, order, advection):
     for steps in (20, 40, 80):
         with simulation_of(
             tmp_path / str(steps), **PERIODIC, stag_grid_x=16, mu=0.02, fft="yes", scheme=scheme,
-            startup=0, advection=advection, ts_dt=0.5 / steps, ts_max_time=0.5, solver=TIGHT,
+            startup=0, advection=advection, ts_dt=0.25 / steps, ts_max_time=0.25, solver=TIGHT,
         ) as simulation:
             drifting_vortices(simulation)
             simulation.run()
@@ -484,3 +480,36 @@ def test_a_method_for_symmetric_systems_is_refused(tmp_path, scheme, word):
             run(tmp_path / method, solver=solver, **words, advection="implicit")
     run(tmp_path / "fft", solver={f"{word}_ksp_type": "cg"}, **words, advection="implicit",
         fft="yes")
+
+
+# ---------------------------------------------------------------- the study
+
+
+def test_the_study_makes_its_tables(tmp_path, monkeypatch):
+    for name in list(os.environ):
+        if name.startswith(("OMPI_", "PRTE_")):
+            monkeypatch.delenv(name)
+    monkeypatch.setattr(navierstokes, "TREATMENTS", ("implicit",))
+    monkeypatch.setattr(navierstokes, "TIMED", {"vortices": ("cn",), "vesicle": ("gcn",)})
+    monkeypatch.setattr(navierstokes, "CAVITY_TIMES", {100: 4.0})
+    one = Campaign("navierstokes", str(tmp_path))
+    navierstokes.study(one, orders=(16,), cavity=((100, 16),), cfls=(0.5,), reynolds=(10.0,),
+                       reduced_areas=(0.8,), grids=(24, 24), strain=0.25)
+    assert one.exit_status == 0
+    text = open(one.path("navierstokes.md")).read()
+    assert "| vortices | cn | implicit |" in text and "| Re 100 | 16^2 | u_min | -0.1" in text
+    assert "| 0.8 | 10 | 0.4" in text
+    with open(one.path("navierstokes.png"), "rb") as file:
+        assert file.read(4) == b"\x89PNG"
+
+
+def test_the_studys_extremes_and_spreads():
+    x = np.linspace(0, 1, 11)
+    assert navierstokes.vertex((x - 0.43) ** 2 - 0.7, np.argmin) == pytest.approx(-0.7)
+    assert all(len(values) == len(places) for profiles in navierstokes.GHIA.values()
+               for values, places in zip(profiles, (navierstokes.GHIA_Y, navierstokes.GHIA_X)))
+    records = [dict(part="vesicle", case=f"V 0.7, box {box}", x=1.0, quantity="frequency",
+                    cells=cells, value=value)
+               for box, cells, value in ((1, 48, 0.2), (1, 96, 0.21), (2, 96, 0.23))]
+    assert navierstokes.spread(records, 0.7, 1.0, "frequency") == (0.21, 0.2, 0.23)
+    assert navierstokes.spread(records, 0.9, 1.0, "frequency") is None

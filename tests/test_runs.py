@@ -132,3 +132,12 @@ def test_a_failed_solve_ends_the_run_with_its_reason(petscib):
     assert result.returncode == 3
     assert result.stderr.startswith("petscib: step 1 from time 0 failed: pressure Poisson solve")
     assert "DIVERGED" in result.stderr and result.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("options", [
+    ("-scene", "tanktreading", "-ts_dt", "0.011", "-ts_max_time", "0.0551"),
+    ("-scene", "poiseuille", "-stag_grid_x", 64, "-ts_dt", "0.0625", "-ts_max_time", "0.13")])
+@pytest.mark.parametrize("scheme", ["mbe", "gcn"])
+def test_a_last_step_that_is_much_shorter(petscib, options, scheme):
+    """Multigrid made for another time step would no longer precondition."""
+    petscib(1, *options, "-scheme", scheme)

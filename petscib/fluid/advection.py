@@ -161,7 +161,7 @@ class Advection:
         return power
 
     def longest_step(self, velocity, mu):
-        """The time step up to which it is stable at a velocity; infinite when implicit.  Collective.
+        """Time step up to which it is stable at a velocity; infinite when implicit.  Collective.
 
         Parameters
         ----------

@@ -101,7 +101,8 @@ class Block:
         self._rhs[-1].getArray()[:] = -self._weights * self._free
         with krylov.tolerances(self.ksp, *self._asked(accuracy)):
             iterations = krylov.solve(
-                self.ksp, self._load, self._solution, fluid.name, krylov.advice(self.ksp))
+                self.ksp, self._load, self._solution, fluid.name, krylov.advice(self.ksp),
+                self.model.direct)
         fluid.store(self._unknowns[:-1], stage.velocity, stage.pressure)
         stage.stress = self._unknowns[-1].getArray(readonly=True).copy()
         return iterations

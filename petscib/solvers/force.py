@@ -228,7 +228,8 @@ class Force:
                 tolerance = max(min(accuracy * exerted, REDUCTION * left), ROUND_OFF * loaded)
             with krylov.tolerances(self.ksp, 0.0, tolerance):
                 iterations += krylov.solve(
-                    self.ksp, self._load, self._change, self.fluid.name, krylov.advice(self.ksp))
+                    self.ksp, self._load, self._change, self.fluid.name, krylov.advice(self.ksp),
+                    self.model.direct)
             stress = stress + self._change.getArray(readonly=True)
             # f . (U - Pi J w_b) of the solution, with f . U = - m . C U
             work = -(stress @ (stress / self.interval - self._free)) - np.sum(

@@ -148,7 +148,7 @@ def tolerances(ksp, rtol=None, atol=None):
         ksp.setTolerances(rtol=usual[0], atol=usual[1])
 
 
-def solve(ksp, rhs, solution, what, advice):
+def solve(ksp, rhs, solution, what, advice, inner=None):
     """Solve, from the values in `solution` unless they are no use.  Collective.
 
     After a long step the last state can be so many orders too large a guess that PETSc takes it
@@ -162,6 +162,8 @@ def solve(ksp, rhs, solution, what, advice):
         Which solve it is, for the message.
     advice : str
         What the user can try.
+    inner : Cholesky, optional
+        The first rank's part of the preconditioner, which may be to blame.
 
     Returns
     -------
@@ -181,6 +183,12 @@ def solve(ksp, rhs, solution, what, advice):
         solution.set(0.0)
         ksp.solve(rhs, solution)
     if ksp.getConvergedReason() < 0:
+        trouble = inner and ksp.comm.tompi4py().bcast(inner.trouble)
+        if trouble:
+            raise SolveError(
+                f"{what} solve failed: -{inner.prefix} ended with {trouble}; try another "
+                f"-{inner.prefix}pc_factor_mat_solver_type"
+            )
         raise SolveError(
             f"{what} solve failed: {reason_name(ksp)} after {ksp.getIterationNumber()} "
             f"iterations; {advice}"

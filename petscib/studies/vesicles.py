@@ -11,8 +11,8 @@ from . import report
 from .campaign import Campaign
 
 CHOSEN = "mbe", "gcn"
-COMMON = dict(scene="tanktreading", axes=(0.05, 0.08), arrangement="lattice", fft=True,
-              ts_max_steps=8)
+COMMON = dict(scene="tanktreading", axes=(0.05, 0.08), arrangement="lattice", periodic="x",
+              fft=True, ts_max_steps=8)
 COLUMNS = ("scheme", "vesicles", "markers", "step_seconds", "over_one", "iterations",
            "tangent_passes", "min_gap")
 
