@@ -15,6 +15,7 @@ from petscib import scenes
 from petscib.coupling.kernels import KERNELS
 from petscib.errors import InputError
 from petscib.fluid.flows import FLOWS
+from petscib.schemes.registry import SCHEMES
 from petscib.settings import Settings, check, check_domain, resolve, text_of
 from petscib.vesicles import OWN, split
 
@@ -183,7 +184,6 @@ RUN, FLUID, SHAPE, MEMBRANE, TIME, OUTPUT = GROUPS = (
 ANY, POSITIVE, NOT_NEGATIVE = Number(), Number(0, open_low=True), Number(0)
 FRACTION = Number(0, 1, open_low=True, open_high=True)
 CELLS = Whole(8, 2**15)
-SCHEMES = "ep", "mbe", "mcn", "be", "cn", "gbe", "gcn"
 
 _ROWS = (
     Option("scene", Choice(tuple(scenes.SCENES)), scenes.DEFAULT, RUN,
@@ -264,8 +264,8 @@ _ROWS = (
     Option("stretch", Choice(("recompute", "evolve")), "recompute", MEMBRANE,
            "stretching from the markers at each step, or as a variable of its own"),
 
-    Option("scheme", Choice(SCHEMES), "mbe", TIME,
-           "explicit (ep), modified (mbe, mcn), coupled (be, cn), geometric (gbe, gcn)"),
+    Option("scheme", Choice(tuple(SCHEMES)), "mbe", TIME,
+           "; ".join(f"{name}: {scheme.words}" for name, scheme in SCHEMES.items())),
     Option("startup", Whole(0, 1000), None, TIME,
            "first steps taken as two backward Euler half steps",
            automatic="1 for cn and gcn, else 0"),

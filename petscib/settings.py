@@ -14,6 +14,7 @@ from petscib.coupling.kernels import KERNELS
 from petscib.errors import InputError
 from petscib.fluid.flows import FLOWS, VARIES
 from petscib.membranes.shapes import ellipse_perimeter
+from petscib.schemes.registry import SCHEMES
 from petscib.vesicles import OWN, of, split
 
 # The widest marker spacing, in cells. Prototypes were sound from 0.2 to 2 cells; wider and fluid
@@ -151,10 +152,10 @@ def resolve(values, given, cfl):
                              "values; allowed: number above 0")
         derived["ts_dt"] = dt
     if values["startup"] is None:
-        derived["startup"] = int(values["scheme"] in ("cn", "gcn"))
+        derived["startup"] = SCHEMES[values["scheme"]].startup
     for name in ("kink_correction", "conserve_area"):
         if values[name] is None:
-            derived[name] = values["scheme"] != "ep"
+            derived[name] = SCHEMES[values["scheme"]].implicit
     if values["output"] is None:
         derived["output"] = os.path.join("out", values["scene"])
     if values["flow"] == "rest":
@@ -289,15 +290,16 @@ def check_curve(settings, vesicle, low, high, perimeter, names):
 
 
 def _check_choices(settings):
-    if settings.scheme == "ep":
+    scheme = f"scheme {settings.scheme}"
+    if not SCHEMES[settings.scheme].implicit:
         if settings.stretch == "evolve":
-            _refuse(settings, ("stretch", "scheme"), "scheme ep takes its force from the markers",
+            _refuse(settings, ("stretch", "scheme"), f"{scheme} takes its force from the markers",
                     "recompute, or another scheme")
         if settings.startup > 0:
-            _refuse(settings, ("startup", "scheme"), "scheme ep has no start-up steps",
+            _refuse(settings, ("startup", "scheme"), f"{scheme} has no start-up steps",
                     "0, or another scheme")
         if settings.ledger != "none":
-            _refuse(settings, ("ledger", "scheme"), "scheme ep has no energy law",
+            _refuse(settings, ("ledger", "scheme"), f"{scheme} has no energy law",
                     "none, or another scheme")
     if settings.flow == "rest" and settings.shear_rate != 0:
         _refuse(settings, ("shear_rate",), "the flow is rest",

@@ -8,7 +8,7 @@ import pytest
 from mpi4py import MPI
 from runs import arrays, assert_same_run, prepare, run
 
-from petscib import options
+from petscib import options, schemes
 from petscib.errors import InputError
 from petscib.output.xdmf import Series, cell_fields
 from petscib.problem import Step
@@ -17,7 +17,7 @@ from petscib.simulation import Simulation
 RHO, MU = 1.3, 0.7
 BOX = {"stag_grid_x": "24", "stag_grid_y": "21", "domain": "-1,2,0.5,2", "rho": str(RHO),
        "mu": str(MU)}
-SCHEMES = "ep", "mbe", "mcn", "be", "cn", "gbe", "gcn"
+SCHEMES = list(schemes.SCHEMES)
 SOLVERS = {
     "GAMG": {f"{name}_ksp_rtol": 1e-11 for name in ("momentum", "poisson", "coupled")},
     "fft": {},

@@ -8,6 +8,10 @@ import math
 import sys
 from time import monotonic
 
+from ..schemes.registry import SCHEMES
+
+from ..schemes.registry import SCHEMES
+
 LINES_BETWEEN_HEADERS = 25
 REDRAW_SECONDS = 0.1
 
@@ -243,11 +247,11 @@ def opening_line(settings, steps):
     steps : int or float
         Those to come; infinite when nobody knows.
     """
-    coupled = settings.scheme not in ("ep", "mbe", "mcn")
+    coupled = SCHEMES[settings.scheme].coupled
     if settings.fft:
         solvers = "transforms" + (" and CG" if settings.vesicles else "")
         others = "without -fft multigrid"
-    elif coupled:
+    elif SCHEMES[settings.scheme].coupled:
         solvers = "FGMRES with GAMG for velocity and pressure together"
         others = "-fft: transforms, -scheme mcn: CG with GAMG for velocity, then for pressure"
     else:

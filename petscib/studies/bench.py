@@ -16,6 +16,7 @@ from math import log
 
 import numpy as np
 
+from ..schemes.registry import SCHEMES
 from . import cputime, report
 from .campaign import Campaign
 from .runs import Run
@@ -91,7 +92,7 @@ class Case:
         """Options of the run."""
         steps = WARM_UP + (8 if self.cells <= 256 else 4)
         dt = 2 / self.cells
-        if self.scheme == "ep":
+        if not SCHEMES[self.scheme].implicit:
             dt = cputime.PAPER_EXPLICIT_DT[self.cells] * EXPLICIT_FRACTION
         if self.solver in WITHOUT:
             steps = WARM_UP + 1

@@ -12,6 +12,7 @@ import sys
 import numpy as np
 
 from ..fluid.flows import FLOWS
+from ..schemes.registry import SCHEMES
 from . import report
 from .campaign import Campaign
 from .convergence import rates
@@ -305,7 +306,7 @@ def _draw(path, records, profiles):
         for part, axis in (("time", time), ("cost", cost_axis)):
             for (case, scheme, advection, _), found in _series(records, part).items():
                 known = [one for one in found if one["value"] and one["seconds"]]
-                style = {**report.SCHEME_STYLES[scheme],
+                style = {**SCHEMES[scheme].style,
                          "linestyle": "-" if advection == "implicit" else ":"}
                 axis.loglog([one["x"] if part == "time" else one["seconds"] for one in known],
                             [one["value"] for one in known], label=f"{case} {scheme} {advection}",

@@ -12,10 +12,10 @@ import numpy as np
 
 from ..coupling.kernels import KERNELS
 from ..membranes.shapes import ellipse_perimeter
+from ..schemes.registry import SCHEMES
 from . import report, runs
 from .campaign import Campaign
 
-SCHEMES = "ep", "mbe", "mcn", "be", "cn", "gbe", "gcn"
 CELLS = 64
 H = 2 / CELLS
 AXES = (0.1, 0.5)
@@ -144,7 +144,7 @@ def study(campaign, chosen, steps=None, time_limit=900.0, schemes=SCHEMES):
 def declare(case, scheme, steps=None):
     """Options of one run."""
     options = {**BASE, "scheme": scheme, **case.options}
-    if scheme == "ep":  # it takes its force from the markers, and has no energy law
+    if not SCHEMES[scheme].implicit:  # it takes its force from the markers, and has no energy law
         options.pop("stretch", None)
     else:
         options.update(LEDGER)
