@@ -11,6 +11,7 @@ import numpy as np
 from .fluid.flows import FLOWS
 from .membranes import geometry
 from .schemes.registry import SCHEMES
+from .schemes.registry import SCHEMES
 
 # Radians, or strain, and parts of the radius of a circle of the vesicle's area, by the scheme's
 # order in time.
@@ -41,7 +42,7 @@ def of_flow(settings, markers, curves=None):
     if not len(markers):
         return ""
     dt, rate = settings.ts_dt, abs(settings.shear_rate)
-    most = LARGEST_TURN[_order(settings)]
+    most = LARGEST_TURN[SCHEMES[settings.scheme].order]
     if rate * dt > most:
         return _warning(
             f"the flow turns and strains a vesicle by {rate * dt:.2g} (shear_rate ts_dt)",
@@ -74,7 +75,7 @@ def _of_move(settings, distance, markers, dt, curves):
         circle = geometry.perimeter(markers, curves) / (2 * np.pi)
         size = curves.spread(np.where(np.isnan(size), circle, size))
     part = (distance / size).max()
-    most = LARGEST_MOVE[_order(settings)]
+    most = LARGEST_MOVE[SCHEMES[settings.scheme].order]
     if not part > most:
         return ""
     return _warning(f"a vesicle moves by {part:.2g} of its radius", most, dt * most / part)

@@ -13,8 +13,7 @@ from dataclasses import replace
 
 from .errors import SolveError
 from .membranes.mobility import AreaProjector
-from .solvers.poisson import PoissonSolver
-from .solvers.transforms.poisson import PoissonTransform
+from .solvers.poisson import poisson_solver
 
 # In a state's history: c of each membrane, on rank 0; and, in files, the pressure without jumps.
 JUMP, BARE = "pressure_jump", "bare_pressure"
@@ -56,8 +55,7 @@ class ShownPressure:
     def _add_jumps(self, state):
         problem, grid = self.problem, self.problem.grid
         if self._poisson is None:
-            transform = PoissonTransform(grid) if self.fft else None
-            self._poisson = PoissonSolver(problem.operators, transform=transform)
+            self._poisson = poisson_solver(problem.operators, self.fft)
             self._force, self._source = grid.velocity_vector(), grid.pressure_vector()
             self._pressure = grid.pressure_vector()
         curves = problem.membranes.curves

@@ -201,7 +201,8 @@ def test_without_divergence_it_is_the_divergence_form():
 @pytest.mark.parametrize("box", ["shear", "extensional", "cavity", "periodic"])
 def test_every_solver_gives_the_same(tmp_path, scheme, box):
     """Around the exact solve, within FGMRES, and with the whole matrix factored."""
-    words = {"cavity": dict(CAVITY, mu="0.01"), "periodic": dict(flow="shear", periodic="x", **VESICLE)}.get(
+    words = {"cavity": dict(CAVITY, mu="0.01"),
+             "periodic": dict(flow="shear", periodic="x", **VESICLE)}.get(
         box, dict(flow=box, **VESICLE))
     words = dict(words, advection="implicit", scheme=scheme, stag_grid_x=24, rho="20",
                  ts_dt="0.05", ts_max_steps=2)

@@ -10,6 +10,8 @@ from time import monotonic
 
 from ..schemes.registry import SCHEMES
 
+from ..schemes.registry import SCHEMES
+
 LINES_BETWEEN_HEADERS = 25
 REDRAW_SECONDS = 0.1
 
@@ -249,7 +251,7 @@ def opening_line(settings, steps):
     if settings.fft:
         solvers = "transforms" + (" and CG" if settings.vesicles else "")
         others = "without -fft multigrid"
-    elif coupled:
+    elif SCHEMES[settings.scheme].coupled:
         solvers = "FGMRES with GAMG for velocity and pressure together"
         others = "-fft: transforms, -scheme mcn: CG with GAMG for velocity, then for pressure"
     else:

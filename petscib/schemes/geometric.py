@@ -11,7 +11,7 @@ from .stage import StageScheme
 INNER_FRACTION = 0.005
 # ... and at least, relative to that of the tangent iteration.  Were the last passes less accurate,
 # the iteration would lose its way in their noise at large time steps.
-LAST_FRACTION = 0.1
+LAST_FRACTION = 0.01
 ANDERSON_DEPTH = 30
 
 

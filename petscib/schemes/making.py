@@ -3,11 +3,8 @@
 from dataclasses import dataclass
 
 from ..solvers.momentum import Momentum
-from ..solvers.poisson import PoissonSolver
+from ..solvers.poisson import poisson_solver
 from ..solvers.stokes import Stokes
-from ..solvers.transforms.helmholtz import HelmholtzTransform
-from ..solvers.transforms.poisson import PoissonTransform
-from ..solvers.transforms.stokes import StokesTransform
 from .registry import SCHEMES
 from .startup import Startup
 
@@ -50,12 +47,21 @@ class Solvers:
 
     def momentum(self):
         """Of the momentum system."""
-        return self._fluid(Momentum, lambda: HelmholtzTransform(self.problem.grid))
+        def transform():
+            from ..solvers.transforms.helmholtz import HelmholtzTransform
+
+            return HelmholtzTransform(self.problem.grid)
+
+        return self._fluid(Momentum, transform)
 
     def stokes(self):
         """Of velocity and pressure together."""
-        problem = self.problem
-        return self._fluid(Stokes, lambda: StokesTransform(problem.grid, problem.operators))
+        def transform():
+            from ..solvers.transforms.stokes import StokesTransform
+
+            return StokesTransform(self.problem.grid, self.problem.operators)
+
+        return self._fluid(Stokes, transform)
 
     def _fluid(self, kind, transform):
         problem, advection = self.problem, self.problem.advection
@@ -66,8 +72,7 @@ class Solvers:
 
     def poisson(self):
         """Of the pressure's Poisson problem."""
-        transform = PoissonTransform(self.problem.grid) if self.fft else None
-        return PoissonSolver(self.problem.operators, transform=transform)
+        return poisson_solver(self.problem.operators, self.fft)
 
 
 def create(name, problem, controls=Controls()):

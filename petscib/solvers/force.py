@@ -30,7 +30,7 @@ REDUCTION = 0.1
 
 # Less accurate solves would be little cheaper, and show in the energy law; and many iterations are
 # cheap too, where a membrane that nearly touches itself needs them.
-DEFAULTS = {"ksp_type": "cg", "ksp_rtol": 1e-8, "ksp_max_it": 1000, "pc_type": "python"}
+DEFAULTS = {"ksp_type": "cg", "ksp_rtol": 1e-9, "ksp_max_it": 1000, "pc_type": "python"}
 # With advection errors of several solves add up, and ten cells a step are to be as exact as one.
 ADVECTED = {**DEFAULTS, "ksp_rtol": 1e-10}
 

@@ -66,3 +66,12 @@ class PoissonSolver:
         for part in (self.ksp, self.transform, self._rhs):
             if part is not None:
                 part.destroy()
+
+
+def poisson_solver(operators, fft):
+    """The solver of a run: by transforms, loaded only then, or by an iteration.  Collective."""
+    if not fft:
+        return PoissonSolver(operators)
+    from .transforms.poisson import PoissonTransform
+
+    return PoissonSolver(operators, transform=PoissonTransform(operators.grid))

@@ -20,7 +20,7 @@ from petsc4py import PETSc
 
 from ..errors import SolveError
 
-DEFAULTS = {"ksp_rtol": 1e-6, "ksp_max_it": 200}
+DEFAULTS = {"ksp_rtol": 1e-6, "ksp_max_it": 200}  # 1e-7 takes two solves more, 1e-8 four
 # Of the accuracy asked for with moving membranes: those are a small part of the fluid.
 INNER = 0.1
 BALANCE = 1e-10  # power of the residual, relative to the kinetic energy over theta dt
