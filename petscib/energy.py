@@ -14,8 +14,8 @@ u^{n+1} in the coupled schemes), U that of the markers and f the forces on them 
 In the advection term U is the transport, and N(U) U stands for N(U) w where it is explicit; the
 implicit one is zero unless fluid passes through walls (see `fluid.advection`).
 
-dm is the change of a law's stresses that the step predicts: dt C U, and what tethers that are moved
-add.  Law by law, |C U|^2 is sigma0 |T U|^2 for the tension and c_b |D_ss U|^2 for bending.  The load
+dm is the change of a law's stresses that the step predicts: dt C U, and what moved tethers add.
+Law by law, |C U|^2 is sigma0 |T U|^2 for the tension and c_b |D_ss U|^2 for bending.  The load
 power is that of given forces and of moved tethers.  The reset is the energy put in when the
 stretching and the markers that the step predicted are replaced by those carried on.  Theorems 3.1
 and 3.2 of Hu & Lai are the case of walls at rest without correction.
