@@ -1,16 +1,15 @@
 """Warnings of time steps that are stable, but too long to be accurate.
 
-Measured on the main job to t = 10: with shear_rate dt = 0.1 the treading frequency of cn, be and mbe
-is 11, 18 and 22 percent off the truth, with 0.03 it is 3 to 6; that of gcn 0.4 percent with 0.25,
-0.5 with 0.5.  A vesicle that Poiseuille flow carries by 0.2 of its radius in a step is a tenth of it
-late after eight steps of mbe, a thousandth with gcn.
+Measured on the main job to t = 10: with shear_rate dt = 0.1 the treading frequency of cn, be and
+mbe is 11, 18 and 22 percent off the truth, with 0.03 it is 3 to 6; that of gcn 0.4 percent with
+0.25, 0.5 with 0.5.  A vesicle that Poiseuille flow carries by 0.2 of its radius in a step is a
+tenth of it late after eight steps of mbe, a thousandth with gcn.
 """
 
 import numpy as np
 
 from .fluid.flows import FLOWS
 from .membranes import geometry
-from .schemes.registry import SCHEMES
 from .schemes.registry import SCHEMES
 
 # Radians, or strain, and parts of the radius of a circle of the vesicle's area, by the scheme's

@@ -11,7 +11,6 @@ from typing import Any
 
 from petscib.settings import text_of
 
-
 # Of the main job: the treading frequency is 1.6 percent off the truth with mbe, 1.2 with be.
 CFL_OF_OTHERS = 0.25
 

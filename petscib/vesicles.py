@@ -4,9 +4,10 @@ An option that is a vesicle's own, such as vesicle_1_axes, wins over the common 
 """
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Any, Mapping
+from typing import Any
 
 # What a vesicle may have its own value of.
 OWN = ("shape", "axes", "center", "angle", "amplitude", "markers", "marker_file", "sigma0",

@@ -347,7 +347,7 @@ def test_order_in_space(tmp_path):
         ) as simulation:
             drifting_vortices(simulation)
             simulation.run()
-        grid, (u, v) = simulation.problem.grid, velocity_of(simulation)
+        grid, (u, _) = simulation.problem.grid, velocity_of(simulation)
         x, y = grid.u_points()
         exact = FLOWS["taylor-green"](x - 0.8 * time, y + 0.5 * time, 2.0, grid.domain)[0]
         exact = 0.8 + exact * np.exp(-2 * mu * np.pi**2 * time)

@@ -198,7 +198,8 @@ def test_contact_keeps_apart(tmp_path):
     """Driven onto each other in steps that make them cross without it."""
     words = {**TWO, "flow": "rest", "stag_grid_x": "24", "axes": "0.2,0.2", "ts_dt": "0.02",
              "vesicle_0_center": "-0.3,0", "vesicle_1_center": "0.3,0", "ts_max_steps": "30",
-             "vesicle_0_load": "20,0", "vesicle_1_load": "-20,0", "scheme": "mbe", "contact_range": "2"}
+             "vesicle_0_load": "20,0", "vesicle_1_load": "-20,0", "scheme": "mbe",
+             "contact_range": "2"}
     run(tmp_path / "without", **words)
     run(tmp_path / "with", **words, contact="1000")
     without, kept = (rows(tmp_path / name)["min_gap"][-1] for name in ("without", "with"))
@@ -207,7 +208,8 @@ def test_contact_keeps_apart(tmp_path):
 
 def test_contact_with_a_wall(tmp_path):
     words = {**GCN, "axes": "0.2,0.2", "stag_grid_x": "24", "delta": "roma3", "flow": "rest",
-             "load": "0,-10", "center": "0,-0.45", "contact": "300", "contact_range": "4", "ts_dt": "0.02"}
+             "load": "0,-10", "center": "0,-0.45", "contact": "300", "contact_range": "4",
+             "ts_dt": "0.02"}
     assert largest_residual(tmp_path, **words, ts_max_steps="15", picard_rtol="1e-9") < 1e-9
     table = rows(tmp_path)
     assert table["wall_contact_energy"][-1] > 0.1

@@ -1,5 +1,4 @@
 """Shapes, differences along curves, and what is measured of polygons."""
-import dense
 import numpy as np
 import pytest
 from hypothesis import given

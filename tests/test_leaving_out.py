@@ -211,7 +211,8 @@ def test_modules(words, loaded, mpirun):
 
 
 def test_log_view_shows_stages_and_events(mpirun):
-    text = mpirun(1, "-m", "petscib", "-scheme", "mbe", "-stag_grid_x", 24, "-axes", "0.25,0.4", "-ts_max_steps", 2,
+    text = mpirun(1, "-m", "petscib", "-scheme", "mbe", "-stag_grid_x", 24, "-axes", "0.25,0.4",
+                  "-ts_max_steps", 2,
                   "-ledger", "record", "-plot", "no", "-log_view").stdout
     stages = {}
     for part in text.split("--- Event Stage ")[1:]:

@@ -1,4 +1,4 @@
-"""Sparse matrices in marker space: products, factorisations, and the model of the fluid's answer."""
+"""Sparse matrices in marker space: products, factorisations, the model of the fluid's answer."""
 import dense
 import numpy as np
 import pytest
@@ -64,7 +64,7 @@ def test_entries_of_products_stay_where_they_are():
 
 
 def quasidefinite(seed=5, size=30):
-    """A sparse symmetric matrix, positive on the first half of the unknowns, negative on the rest."""
+    """A sparse symmetric matrix, positive on half of the unknowns, negative on the rest."""
     half = size // 2
     coupling = random(half, size - half, 0.2, random_state=seed).toarray()
     table = np.block([[np.diag(np.arange(1.0, half + 1)), coupling],
@@ -194,7 +194,7 @@ def symbol_by_quadrature(kernel, h, k, interval, share):
     variance = (spread(kernel.along, kernel.along_radius)
                 + spread(kernel.across, kernel.across_radius)) / 2
     return share * np.array([quad(
-        lambda q: np.exp(-variance * (h * q) ** 2) / (2 * np.pi)
+        lambda q, one=one: np.exp(-variance * (h * q) ** 2) / (2 * np.pi)
         / (MU * (one**2 + q**2) + RHO / interval), -np.inf, np.inf)[0] for one in k])
 
 

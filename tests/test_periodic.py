@@ -103,18 +103,18 @@ def test_vortices_decay_at_the_rate_of_the_scheme(tmp_path, scheme, solver):
     simulation = fluid_alone(tmp_path, solver, periodic="xy", scheme=scheme, startup="0",
                              ts_dt=str(dt), ts_max_steps=str(steps), ts_max_time="10")
     grid = simulation.problem.grid
-    k, l = 2 * np.pi / 3.0, 4 * np.pi / 1.5
+    k_x, k_y = 2 * np.pi / 3.0, 4 * np.pi / 1.5
 
     def stream(x, y):
-        return np.sin(k * (x + 1) + 0.3) * np.cos(l * (y - 0.5) + 0.1)
+        return np.sin(k_x * (x + 1) + 0.3) * np.cos(k_y * (y - 0.5) + 0.1)
 
     (x_u, y_u), (x_v, y_v) = grid.u_points(), grid.v_points()
     u = (stream(x_u, y_u + grid.dy / 2) - stream(x_u, y_u - grid.dy / 2)) / grid.dy
     v = -(stream(x_v + grid.dx / 2, y_v) - stream(x_v - grid.dx / 2, y_v)) / grid.dx
     dense.set_velocity(grid, simulation.state.velocity, np.concatenate((u.ravel(), v.ravel())))
     found = final(simulation)
-    rate = MU / RHO * dt * ((2 / grid.dx * np.sin(k * grid.dx / 2))**2
-                            + (2 / grid.dy * np.sin(l * grid.dy / 2))**2)
+    rate = MU / RHO * dt * ((2 / grid.dx * np.sin(k_x * grid.dx / 2))**2
+                            + (2 / grid.dy * np.sin(k_y * grid.dy / 2))**2)
     implicit = scheme in ("mbe", "be", "gbe")
     factor = 1 / (1 + rate) if implicit else (1 - rate / 2) / (1 + rate / 2)
     assert np.abs(found[0] - factor**steps * u).max() <= 1e-8 * np.abs(u).max()

@@ -71,7 +71,8 @@ def test_an_interrupted_run_goes_on_in_its_folder(tmp_path):
 def test_other_ranks_agree_to_solver_tolerance(mpirun, tmp_path, ranks):
     small = [word for name, text in SMALL.items() for word in (f"-{name}", text)]
     mpirun(2, "-m", "petscib", *small, "-output", "whole", "-ts_max_steps", 6,
-           "-checkpoint_every", 3, "-scheme", "mbe", "-poisson_ksp_rtol", "1e-10", "-momentum_ksp_rtol", "1e-10")
+           "-checkpoint_every", 3, "-scheme", "mbe", "-poisson_ksp_rtol", "1e-10",
+           "-momentum_ksp_rtol", "1e-10")
     result = mpirun(ranks, "-m", "petscib", "-restart", "whole/checkpoint-00000003.h5",
                     "-output", "again")
     assert result.stderr == "petscib: continuing from whole/checkpoint-00000003.h5\n"

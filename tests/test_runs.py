@@ -74,7 +74,8 @@ def test_same_answer_on_any_number_of_ranks(petscib, tmp_path):
     for ranks in (1, 2, 3):
         folder = tmp_path / str(ranks)
         petscib(ranks, "-stag_grid_x", 65, "-stag_grid_y", 50, "-ts_dt", 2 / 65, "-ts_max_steps", 5,
-                "-scheme", "mbe", "-output", folder, "-momentum_ksp_rtol", 1e-11, "-poisson_ksp_rtol", 1e-11)
+                "-scheme", "mbe", "-output", folder, "-momentum_ksp_rtol", 1e-11,
+                "-poisson_ksp_rtol", 1e-11)
         with h5py.File(folder / "final.h5") as file:
             names = ("fluid/u", "fluid/v", "fluid/p", "vesicle_0/X", "vesicle_0/stretch",
                      "vesicle_0/rest_stretch")

@@ -37,7 +37,8 @@ class PaperStep:
     """
 
     def __init__(self, problem, state):
-        self.grid, self.kernel, self.ds = problem.grid, problem.kernel, problem.membranes.curves.ds[0]
+        self.grid, self.kernel = problem.grid, problem.kernel
+        self.ds = problem.membranes.curves.ds[0]
         self.evolve = problem.evolve
         self.velocity = dense.velocity(self.grid, state.velocity)
         comm = self.grid.comm.tompi4py()

@@ -442,7 +442,7 @@ def test_the_view_says_what_solves(iteration, says, tmp_path):
 # ---------------------------------------------------------------- counts
 
 
-COUNTS = {  # scheme, transforms, Krylov method, most iterations to 1e-6 and their growth with sigma0
+COUNTS = {  # scheme, transforms, Krylov method, most iterations to 1e-6, their growth with sigma0
     "force": ("mbe", True, "cg", 12, 1),
     "coupled force": ("be", True, "cg", 12, 1),
     "elimination": ("mbe", False, "cg", 42, 16),

@@ -128,7 +128,8 @@ def test_a_narrow_gap_is_a_warning(tmp_path, half, cells):
     ("shear", {}, 1.0), ("shear", {"mu": "2.5", "shear_rate": "-0.5"}, 2.5)])
 @pytest.mark.parallel([1, 2, 3])
 def test_effective_viscosity_without_vesicles_is_the_fluid_s(tmp_path, flow, words, expected):
-    run(tmp_path, scene="driven", axes="0.1,0.1", vesicles="1", sigma0="0", bending="0", flow=flow, periodic="x", ts_max_steps="2", **words)
+    run(tmp_path, scene="driven", axes="0.1,0.1", vesicles="1", sigma0="0", bending="0", flow=flow,
+        periodic="x", ts_max_steps="2", **words)
     if comm.rank == 0:
         found = rows(tmp_path)["effective_viscosity"]
         np.testing.assert_allclose(found, expected, rtol=1e-6)

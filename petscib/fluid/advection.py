@@ -84,7 +84,7 @@ class Advection:
         transport.destroy()
 
     def _fill(self, velocity):
-        """This rank's fields of a velocity vector, with those around it."""
+        """The fields of a velocity vector on this rank, with those around it."""
         self.grid.velocity_dm.globalToLocal(velocity, self._local)
         values = self._local.getArray(readonly=True).reshape(self._shape)
         for field, slot in zip(self._fields, self._slots):

@@ -33,9 +33,9 @@ def cavity(x, y, shear_rate, domain):
 def taylor_green(x, y, shear_rate, domain):
     """Vortices that fill the box, one period of it each way, of the strain rate gamma."""
     a, b, c, d = domain
-    k, l = 2 * np.pi / (b - a), 2 * np.pi / (d - c)
-    x, y = k * (x - a), l * (y - c)
-    return shear_rate / k * np.sin(x) * np.cos(y), -shear_rate / l * np.cos(x) * np.sin(y)
+    k_x, k_y = 2 * np.pi / (b - a), 2 * np.pi / (d - c)
+    x, y = k_x * (x - a), k_y * (y - c)
+    return shear_rate / k_x * np.sin(x) * np.cos(y), -shear_rate / k_y * np.cos(x) * np.sin(y)
 
 
 FLOWS = {flow.__name__.replace("_", "-"): flow

@@ -10,8 +10,6 @@ from time import monotonic
 
 from ..schemes.registry import SCHEMES
 
-from ..schemes.registry import SCHEMES
-
 LINES_BETWEEN_HEADERS = 25
 REDRAW_SECONDS = 0.1
 
@@ -247,7 +245,6 @@ def opening_line(settings, steps):
     steps : int or float
         Those to come; infinite when nobody knows.
     """
-    coupled = SCHEMES[settings.scheme].coupled
     if settings.fft:
         solvers = "transforms" + (" and CG" if settings.vesicles else "")
         others = "without -fft multigrid"
@@ -260,8 +257,8 @@ def opening_line(settings, steps):
     count = f"{steps:.0f} steps to t = {settings.ts_max_time:g}" if math.isfinite(steps) else (
         f"steps to t = {settings.ts_max_time:g}")
     return (
-        f"{settings.scene}, {settings.stag_grid_x} x {settings.stag_grid_y} cells, {settings.scheme}"
-        f" with dt = {settings.ts_dt:.4g}, {count}; {solvers} ({others})"
+        f"{settings.scene}, {settings.stag_grid_x} x {settings.stag_grid_y} cells, "
+        f"{settings.scheme} with dt = {settings.ts_dt:.4g}, {count}; {solvers} ({others})"
     )
 
 

@@ -11,7 +11,6 @@ from ..events import phase
 from . import krylov
 from .model import MarkerModel
 
-
 ROUND_OFF = 1e-14  # relative tolerance below which no residual gets
 REDUCTION = 0.1  # of the residual, that a pass of the tangent iteration makes at least
 
@@ -93,7 +92,7 @@ class Block:
 
     def iterate(self, accuracy):
         """Solve.  Returns the iterations."""
-        fluid, stage, operators = self.fluid, self.stage, self.operators
+        fluid, stage = self.fluid, self.stage
         fluid.load(self._unknowns[:-1], stage.velocity, stage.pressure)
         self._unknowns[-1].getArray()[:] = stage.stress
         self.rhs.copy(self._rhs[0])
@@ -139,6 +138,6 @@ class Block:
         if pc is not None:
             return
         self.model.destroy()
-        for part in (self.ksp, self._operator, self._solution, self._load, self._residual, self._force,
-                     *self._unknowns, *self._rhs):
+        for part in (self.ksp, self._operator, self._solution, self._load, self._residual,
+                     self._force, *self._unknowns, *self._rhs):
             part.destroy()

@@ -10,8 +10,8 @@ k, H is
 
     1 / ds int dq / (2 pi) phi^2(k, q) / (mu (k^2 + q^2) + rho / (theta dt)),
 
-half of it where the fluid's answer has no divergence.  With phi^2 about exp(-s2 h^2 (k^2 + q^2)), s2
-the variance of the kernel, this is exp(-s2 h^2 k^2) R(k) / ds with
+half of it where the fluid's answer has no divergence.  With phi^2 about exp(-s2 h^2 (k^2 + q^2)),
+s2 the variance of the kernel, this is exp(-s2 h^2 k^2) R(k) / ds with
 
     R(k) = erfcx(sqrt(s2) h kappa) / (2 mu kappa),    kappa^2 = k^2 + rho / (mu theta dt).
 

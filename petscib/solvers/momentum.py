@@ -5,9 +5,9 @@ from petsc4py import PETSc
 
 from . import krylov
 
-# Cells that momentum may diffuse in theta dt for conjugate gradients with the stresses eliminated to
-# be the default.  Beyond, the block iteration is more than 1.5 times faster: it takes 0.4 to 0.9 of
-# the time at 5.7 and 8 cells, and 0.55 at 11 (256^2, dt = h; `make bench`).
+# Cells that momentum may diffuse in theta dt for conjugate gradients with the stresses eliminated
+# to be the default.  Beyond, the block iteration is more than 1.5 times faster: at 11 cells (256^2,
+# dt = h) it takes 0.55 of the time, at 5.7 and 8 (64^2, 128^2) 1.06 to 1.3 (`make bench`).
 FARTHEST = 9.0
 
 # The matrix changes with the time step only; the coarse grids made for another step may then be no

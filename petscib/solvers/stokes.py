@@ -1,7 +1,6 @@
 """The fluid's part of the coupled system: velocity and pressure together."""
 
-from . import krylov
-from .momentum import VELOCITY_DEFAULTS, Momentum
+from .momentum import Momentum
 from .poisson import PoissonSolver
 
 POISSON_DEFAULTS = {"ksp_type": "preonly", "pc_type": "gamg", "mg_coarse_sub_pc_type": "svd"}

@@ -2,8 +2,8 @@
 
 The vesicle (0.1, 0.5) in fluid at rest, dt = h, scheme mbe: with the membranes' stresses eliminated
 (GAMG), with a block iteration (GAMG block) and by transforms (fft), on 1 and 2 ranks.  Beside it
-the coupled schemes, other multigrid than ours, one fast solve of the fluid's matrix (the floor), the
-method without the kink correction, factored (literal) and by plain CG and GAMG on the assembled
+the coupled schemes, other multigrid than ours, one fast solve of the fluid's matrix (the floor),
+the method without the kink correction, factored (literal) and by plain CG and GAMG on the assembled
 matrix, and the explicit scheme (Hu & Lai, Table 3).
 All is measured anew at each call, since only ratios from one run mean something on a busy machine.
 """
@@ -236,7 +236,8 @@ def _steps_table(records):
     return (
         f"Medians over the steps after the first {WARM_UP}; milliseconds. Iterations: momentum + "
         "Poisson (mbe, ep), coupled (be), coupled + tangent (gbe, gcn). Model: factorisations in "
-        "marker space. Solve: CG or FGMRES with its preconditioner. Rest: interpolation, forces, diagnostics, output. Times faster: by "
+        "marker space. Solve: CG or FGMRES with its preconditioner. Rest: interpolation, forces, "
+        "diagnostics, output. Times faster: by "
         "the fastest steps, as other work on the machine only adds time. Memory: most that all "
         "ranks held, interpreter and libraries (some 100 MB a rank) included. "
         f"{os.cpu_count()} cores; at the end of the benchmark {os.getloadavg()[0]:.1f} processes "

@@ -3,8 +3,8 @@
 An ellipse (0.1, 0.5) at rest, dt = h, tolerance 1e-6.  Momentum system (scheme mbe): conjugate
 gradients with the membranes' stresses eliminated and one GAMG cycle, FGMRES for fluid and stresses
 with one GAMG cycle, conjugate gradients for the stresses with transforms.  Coupled system (scheme
-be): FGMRES with the projection method by GAMG, and conjugate gradients with transforms.  Without the
-kink correction: conjugate gradients with GAMG on the assembled matrix, as the paper has it.
+be): FGMRES with the projection method by GAMG, and conjugate gradients with transforms.  Without
+the kink correction: conjugate gradients with GAMG on the assembled matrix, as the paper has it.
 """
 
 import sys

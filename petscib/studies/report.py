@@ -4,7 +4,7 @@ import csv
 import os
 from contextlib import contextmanager
 
-from ..output.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, STYLE, VERMILLION
+from ..output.plots import BLUE, GREEN, ORANGE, PURPLE, SKY, STYLE, VERMILLION
 
 # One look for a scheme in every picture.
 SERIES_COLOURS = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY)

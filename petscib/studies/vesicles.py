@@ -55,7 +55,7 @@ def _markdown(rows, cells):
     header = ["scheme", "vesicles", "markers", "s per step", "over one vesicle", "iterations",
               "tangent passes"]
     table = [[row[0], *(report.number(value) for value in row[1:7])] for row in rows]
-    return (f"Mean step on {cells}^2 cells, and iterations of the last step. Only ratios within one "
+    return (f"Mean step on {cells}^2 cells, iterations of the last step. Only ratios within one "
             "call of the study mean something.\n\n" + report.markdown_table(header, table))
 
 
