@@ -356,7 +356,8 @@ class Simulation:
     def _failure(self, error):
         """What to raise when a step failed for good, after saving the state before it."""
         try:
-            saved = f"the state before it is in {self._save()}"
+            # After a failure no solver is to be trusted.
+            saved = f"the state before it is in {self._save(with_jumps=False)}"
         except OutputError as failure:
             saved = f"the state before it could not be saved ({failure})"
         return self._last_words(error, saved)
@@ -429,11 +430,15 @@ class Simulation:
         ):
             self._save()
 
-    def _save(self, name=None):
-        """Write a checkpoint.  Returns its path."""
+    def _save(self, name=None, with_jumps=True):
+        """Write a checkpoint, unless told otherwise with the pressure's jumps.  Returns its path."""
         self.saved_at = perf_counter()
-        self.saved_in = self._output(
-            lambda: self.results.save(self.shown.state(self.state), self._reached(), name))
+
+        def write():
+            state = self.shown.state(self.state) if with_jumps else self.state
+            return self.results.save(state, self._reached(), name)
+
+        self.saved_in = self._output(write)
         if self.shown.trouble:
             self.results.say(
                 f"petscib: the pressure in {self.saved_in} is without its jumps across the "

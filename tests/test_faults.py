@@ -20,7 +20,8 @@ from petscib.errors import Crash, InputError, SolveError, WallError, ours
 from petscib.output import checkpoint, lock
 from petscib.solvers import krylov
 
-OPTIONS = [word for name, text in SMALL.items() for word in (f"-{name}", text)]
+OPTIONS = ["-scheme", "mbe"] + [
+    word for name, text in SMALL.items() for word in (f"-{name}", text)]
 # Starts petscib with something broken: the production code has no hook for tests.
 DRIVER = """
 import sys
@@ -351,6 +352,8 @@ def test_a_rescued_state_is_the_saved_one(petscib, tmp_path):
     one_line(petscib(*words, "-output", "rescued", broken=broken, ranks=3), 3)
     first, second = (arrays(tmp_path / name / "checkpoint-00000003.h5")
                      for name in ("whole", "rescued"))
+    # One rank alone cannot solve for the pressure's jumps.
+    first["fluid/p"] = first.pop("history/bare_pressure/p")
     assert first.keys() == second.keys() and any("history" in name for name in first)
     for name, values in first.items():
         np.testing.assert_array_equal(second[name], values, err_msg=name)
@@ -441,7 +444,7 @@ def test_a_solve_that_failed_within_another_can_be_tried_again(petscib, tmp_path
 # --- the walls
 
 def test_a_vesicle_that_is_carried_to_the_outlet(petscib, tmp_path):
-    words = ["-scene", "poiseuille", "-stag_grid_x", 64, "-ts_dt", 0.25, "-ts_max_time", 20,
+    words = ["-scene", "poiseuille", "-scheme", "gcn", "-stag_grid_x", 64, "-ts_dt", 0.25, "-ts_max_time", 20,
              "-fft", "-plot", "no", "-monitor", "none", "-output", "run"]
     line = one_line(petscib(*words), 3)
     assert "the vesicle has come to the wall x = 3, where the box ends: marker " in line
@@ -452,10 +455,11 @@ def test_a_guess_beyond_the_walls_is_a_failed_step(petscib, tmp_path):
     words = ["-stag_grid_x", 24, "-axes", "0.2,0.3", "-scheme", "gcn", "-flow", "extensional",
              "-shear_rate", 20, "-center", "0.2,0", "-ts_dt", 0.06, "-ts_max_time", 1,
              "-plot", "no", "-monitor", "none", "-output", "run"]
-    assert " from time 0 failed: " in one_line(petscib(*words), 3)
+    warning, line = petscib(*words).stderr.splitlines()
+    assert "-ts_dt 0.025 is advised" in warning and " from time 0 failed: " in line
     result = petscib(*words, "-ts_adapt")
-    *attempts, line = result.stderr.splitlines()
-    assert result.returncode == 3 and all("; trying " in one for one in attempts[1:])
+    _, *attempts, line = result.stderr.splitlines()
+    assert result.returncode == 3 and all("; trying " in one for one in attempts)
     assert "is in run/checkpoint-" in line and "from time 0.0" in line
 
 

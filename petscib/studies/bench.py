@@ -17,6 +17,7 @@ from math import log
 import numpy as np
 
 from ..schemes.registry import SCHEMES
+from ..output.plots import GREY
 from . import cputime, report
 from .campaign import Campaign
 from .runs import Run
@@ -339,7 +340,7 @@ def _draw(path, records):
         _line(seconds, records, [Case(LITERAL, count, 1e9) for count in cells], "step_seconds",
               label="literal", color=report.PURPLE, marker="v")
         _line(seconds, records, ours, "fast_solve_seconds", label="one fast solve (floor)",
-              color=report.GREY, marker="x")
+              color=GREY, marker="x")
         _line(seconds, records, [Case(PLAIN, count, 1e5) for count in cells], "step_seconds",
               label="plain CG+GAMG, sigma0 1e5", color=report.GREEN, marker="^")
         paper = [count for count in cells if count in cputime.PAPER]
@@ -385,7 +386,7 @@ def _draw_shares(axis, records, cases):
         bottom += spent / floors
     steps = np.array([records[case]["step_seconds"] for case in known]) / floors
     axis.bar(names, np.maximum(steps - bottom, 0.0), bottom=bottom, label="rest",
-             color=report.GREY)
+             color=GREY)
     axis.set_title("a step in fast solves, fft, 1 rank")
     axis.set_xlabel("cells across")
     axis.legend()
