@@ -431,7 +431,7 @@ class Simulation:
             self._save()
 
     def _save(self, name=None, with_jumps=True):
-        """Write a checkpoint, unless told otherwise with the pressure's jumps.  Returns its path."""
+        """Write a checkpoint, as a rule with the pressure's jumps.  Returns its path."""
         self.saved_at = perf_counter()
 
         def write():

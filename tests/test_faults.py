@@ -444,8 +444,8 @@ def test_a_solve_that_failed_within_another_can_be_tried_again(petscib, tmp_path
 # --- the walls
 
 def test_a_vesicle_that_is_carried_to_the_outlet(petscib, tmp_path):
-    words = ["-scene", "poiseuille", "-scheme", "gcn", "-stag_grid_x", 64, "-ts_dt", 0.25, "-ts_max_time", 20,
-             "-fft", "-plot", "no", "-monitor", "none", "-output", "run"]
+    words = ["-scene", "poiseuille", "-scheme", "gcn", "-stag_grid_x", 64, "-ts_dt", 0.25,
+             "-ts_max_time", 20, "-fft", "-plot", "no", "-monitor", "none", "-output", "run"]
     line = one_line(petscib(*words), 3)
     assert "the vesicle has come to the wall x = 3, where the box ends: marker " in line
     assert "a larger -domain" in line and "-ts_dt" not in line
@@ -459,7 +459,8 @@ def test_a_guess_beyond_the_walls_is_a_failed_step(petscib, tmp_path):
     assert "-ts_dt 0.025 is advised" in warning and " from time 0 failed: " in line
     result = petscib(*words, "-ts_adapt")
     _, *attempts, line = result.stderr.splitlines()
-    assert result.returncode == 3 and all("; trying " in one for one in attempts)
+    attempts = [one for one in attempts if "failed" in one]  # beside remarks on a near wall
+    assert result.returncode == 3 and attempts and all("; trying " in one for one in attempts)
     assert "is in run/checkpoint-" in line and "from time 0.0" in line
 
 

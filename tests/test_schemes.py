@@ -428,7 +428,8 @@ def test_gcn_is_second_order_in_time():
     """
     order_x, order_u = observed_orders(
         "gcn", (20, 40, 80, 160), 0.5, Controls(startup=1, picard_rtol=1e-11, fft=True),
-        stag_grid_x=24, axes="0.15,0.5", sigma0=1e5, flow="shear", shear_rate=2)
+        stag_grid_x=24, axes="0.15,0.5", sigma0=1e5, flow="shear", shear_rate=2,
+        delta="yang")
     assert order_x >= 1.8 and order_u >= 1.8
 
 

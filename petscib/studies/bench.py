@@ -16,8 +16,8 @@ from math import log
 
 import numpy as np
 
-from ..schemes.registry import SCHEMES
 from ..output.plots import GREY
+from ..schemes.registry import SCHEMES
 from . import cputime, report
 from .campaign import Campaign
 from .runs import Run
