@@ -64,6 +64,7 @@ class Simulation:
         self.began = self.saved_at = perf_counter()
         self.longest_attempt = 0.0
         self.scheme = self.results = self.shown = None
+        self.first_default = krylov.entered_defaults()
         self.traceback = ""
         self.writing = self.said_too_long = False
         comm = comm or PETSc.COMM_WORLD
@@ -84,7 +85,7 @@ class Simulation:
             if isinstance(trouble, Crash):
                 trouble = InputError(f"PETSc cannot set this up: {trouble}")
         except BaseException:  # perhaps on this rank alone: nothing collective any more
-            krylov.withdraw_defaults()
+            krylov.withdraw_defaults(self.first_default)
             raise
         agreed = self.agreement.meet([trouble is not None], PATIENCE if trouble else None)
         if agreed is None:
@@ -498,4 +499,4 @@ class Simulation:
         if self.agreement is not None:
             self.agreement.destroy()
             self.agreement = None
-        krylov.withdraw_defaults()
+        krylov.withdraw_defaults(self.first_default)

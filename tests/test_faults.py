@@ -15,10 +15,11 @@ from conftest import mpi_environment, start, stop
 from petsc4py import PETSc
 from runs import SMALL, arrays, assert_same_run, prepare, rows, run
 
-from petscib import guard, schemes
+from petscib import guard, options, schemes
 from petscib.errors import Crash, InputError, SolveError, WallError, ours
 from petscib.output import checkpoint, lock
 from petscib.solvers import krylov
+from petscib.simulation import Simulation
 
 OPTIONS = ["-scheme", "mbe"] + [
     word for name, text in SMALL.items() for word in (f"-{name}", text)]
@@ -533,8 +534,9 @@ def test_a_scheme_that_cannot_be_built_leaves_no_options(tmp_path, monkeypatch):
 def test_a_folder_in_use_is_refused(tmp_path):
     first = prepare(tmp_path / "run", ts_max_steps="2")
     before = (tmp_path / "run" / "diagnostics.csv").read_bytes()
+    given = {**SMALL, "output": str(tmp_path / "run")}
     with pytest.raises(InputError) as caught:
-        prepare(tmp_path / "run")
+        Simulation(options.read(given))
     assert str(caught.value).startswith(f"{tmp_path}/run: in use by process {os.getpid()} on ")
     assert (tmp_path / "run" / "diagnostics.csv").read_bytes() == before
     first.run()

@@ -458,7 +458,7 @@ def test_iterations_hardly_grow_with_the_stiffness(iteration):
     counts = []
     for sigma0 in (1e5, 1e9, 1e13):
         problem, state = dense.problem(stag_grid_x=64, axes="0.1,0.5", sigma0=sigma0,
-                                       bending=0.01, flow="shear", shear_rate=1)
+                                       bending=0.01, flow="shear", shear_rate=1, delta="yang")
         equations = "momentum" if scheme == "mbe" else "coupled"
         with options(equations, ksp_type, ksp_rtol=1e-6):
             stepper, largest = create(scheme, problem, Controls(fft=transforms)), 0

@@ -38,12 +38,16 @@ class Cholesky:
     def __init__(self, prefix):
         self.prefix = prefix
         self.trouble = ""
-        self.ksp = self._matrix = None
+        self._matrix = None
         krylov.set_defaults(
             prefix,
             {"ksp_type": "preonly", **direct.defaults("cholesky", PETSc.COMM_SELF),
              **CHOLMOD_DEFAULTS},
         )
+        # Now, as the defaults may be gone from PETSc's database when the first matrix comes.
+        self.ksp = PETSc.KSP().create(comm=PETSc.COMM_SELF)
+        self.ksp.setOptionsPrefix(prefix)
+        self.ksp.setFromOptions()
 
     def factor(self, matrix):
         """Factor; a matrix with the entries of the last one keeps its symbolic factorisation.
@@ -55,10 +59,6 @@ class Cholesky:
         """
         if not matrix.shape[0]:
             return
-        if self.ksp is None:
-            self.ksp = PETSc.KSP().create(comm=PETSc.COMM_SELF)
-            self.ksp.setOptionsPrefix(self.prefix)
-            self.ksp.setFromOptions()
         if self.ksp.getPC().getFactorSolverType() == "petsc":  # which orders only whole matrices
             matrix = _whole(matrix)
         csr = matrix.indptr, matrix.indices, matrix.data

@@ -87,9 +87,17 @@ def set_defaults(prefix, defaults):
             _entered.append(prefix + name)
 
 
-def withdraw_defaults():
-    """Take all defaults out of PETSc's database again, for the next run in this process."""
-    while _entered:
+def entered_defaults():
+    """How many defaults are in PETSc's database."""
+    return len(_entered)
+
+
+def withdraw_defaults(first=0):
+    """Take the defaults from the `first` on out of PETSc's database again.
+
+    The next run in this process must not find them; one that began earlier may still need its own.
+    """
+    while len(_entered) > first:
         PETSc.Options().delValue(_entered.pop())
 
 

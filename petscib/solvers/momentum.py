@@ -38,7 +38,9 @@ class Momentum:
 
     name, prefix = "momentum", "momentum_"
     share = 1.0  # of a force's answer that a velocity in this system has; see `model`
-    defaults = {"ksp_type": "cg", "ksp_rtol": 1e-6, "ksp_max_it": 500, **GAMG_DEFAULTS}
+    defaults = {"ksp_type": "cg", "ksp_rtol": 1e-6, "ksp_max_it": 500,
+                # At sigma0 = 1e13 the first residuals may be 1e5 times that of the start.
+                "ksp_divtol": 1e12, **GAMG_DEFAULTS}
     symmetric = True
 
     def __init__(self, operators, rho, mu, transform=None, advection=None):
