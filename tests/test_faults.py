@@ -18,8 +18,8 @@ from runs import SMALL, arrays, assert_same_run, prepare, rows, run
 from petscib import guard, options, schemes
 from petscib.errors import Crash, InputError, SolveError, WallError, ours
 from petscib.output import checkpoint, lock
-from petscib.solvers import krylov
 from petscib.simulation import Simulation
+from petscib.solvers import krylov
 
 OPTIONS = ["-scheme", "mbe"] + [
     word for name, text in SMALL.items() for word in (f"-{name}", text)]

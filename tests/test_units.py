@@ -57,7 +57,8 @@ def test_runs_agree_in_all_units(tmp_path, name, monkeypatch):
         folder = tmp_path / system.replace(" ", "_").replace(",", "")
         simulation = runs.prepare(folder, **in_units(CASES[name], units))
         if not CASES[name]["fft"]:  # an iteration more or less must not show
-            for ksp in simulation.scheme.system._iteration.ksp, simulation.scheme.projection.poisson.ksp:
+            scheme = simulation.scheme
+            for ksp in scheme.system._iteration.ksp, scheme.projection.poisson.ksp:
                 ksp.setTolerances(rtol=1e-13)
         simulation.run()
         simulation.destroy()
