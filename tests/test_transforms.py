@@ -268,7 +268,8 @@ def test_window_answer_is_that_of_the_whole_box(kind, sides, place):
 
 NAME = "petscib.solvers.nothing."
 SHORT = ("-scene", "stiff", "-scheme", "mbe", "-sigma0", "1e5", "-stag_grid_x", "32",
-         "-ts_max_steps", "2", "-plot", "0", "-monitor", "none", "-output", "out", "-diagnostics_every", "1")
+         "-ts_max_steps", "2", "-plot", "0", "-monitor", "none", "-output", "out",
+         "-diagnostics_every", "1")
 VIEWS = ("-momentum_ksp_view", "-poisson_ksp_view")
 
 
