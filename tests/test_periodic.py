@@ -180,7 +180,8 @@ def test_a_vesicle_may_cross_periodic_sides(tmp_path, periodic, solver):
     found = []
     for name, moved in (("one", (0.0, 0.0)), ("other", shift)):
         x, y = np.array([0.5, 1.25]) + moved
-        words = {**drifting(periodic), "center": f"{x!r},{y!r}", "ts_max_steps": "10"}
+        center = f"{float(x)!r},{float(y)!r}"
+        words = {**drifting(periodic), "center": center, "ts_max_steps": "10"}
         simulation = simulation_of(tmp_path / name, solver, **words)
         simulation.run()
         simulation.destroy()
