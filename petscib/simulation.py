@@ -82,7 +82,8 @@ class Simulation:
             self._build(self.settings, comm)
         except (InputError, PETSc.Error) as error:
             trouble = ours(error)
-            if isinstance(trouble, Crash):
+            # Python's own errors come in PETSc's clothes since 3.19; they are no bad input.
+            if isinstance(trouble, Crash) and str(trouble).startswith("PETSc error"):
                 trouble = InputError(f"PETSc cannot set this up: {trouble}")
         except BaseException:  # perhaps on this rank alone: nothing collective any more
             krylov.withdraw_defaults(self.first_default)
