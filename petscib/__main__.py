@@ -37,7 +37,7 @@ def main(arguments=None):
         console.protect()
         from petsc4py import PETSc
 
-        from . import installation, restart
+        from . import installation, restart, vesicle_files
 
         if version:
             if world.rank == 0:
@@ -53,7 +53,7 @@ def main(arguments=None):
             if world.rank == 0:
                 print(information)
             return 0
-        database = restart.merge(database, world)
+        database = vesicle_files.expand(restart.merge(database, world), world)
         return _simulate(options.read(database), world.rank == 0)
     except (InputError, SolveError, OutputError) as error:
         if world.rank == 0:

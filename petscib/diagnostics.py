@@ -4,36 +4,35 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from . import energy
+from . import energy, rheology
 from .energy import Ledger
 from .membranes import geometry
+from .membranes.laws import LAWS
 
 SOLVERS = ("momentum", "poisson", "coupled", "picard")
-COLUMNS = (
-    "step",
-    "time",
-    "dt",
-    "local_error",
-    "area",
-    "perimeter",
-    "area_error",
-    "perimeter_error",
-    "kinetic",
-    "tension_energy",
-    "bending_energy",
-    "energy",
-    *(f"ledger_{name}" for name in Ledger.names()),
-    "ledger_residual",
-    "max_divergence",
-    "max_speed",
-    "cfl",
-    "inclination",
-    "treading_frequency",
-    "centroid_x",
-    "centroid_y",
-    *(f"{name}_iterations" for name in SOLVERS),
-    "wall_seconds",
-)
+SHAPES = ("area", "perimeter", "area_error", "perimeter_error")
+PLACES = ("inclination", "treading_frequency", "centroid_x", "centroid_y")
+
+
+def columns(vesicles):
+    """Names of the columns for a number of vesicles: with several, those of each get a number."""
+    return (
+        "step", "time", "dt", "local_error",
+        *numbered(SHAPES, vesicles),
+        "kinetic", *(f"{name}_energy" for name in LAWS), "energy",
+        *(f"ledger_{name}" for name in Ledger.names()), "ledger_residual",
+        "max_divergence", "max_speed", "cfl", "effective_viscosity", "min_gap",
+        *numbered(PLACES, vesicles),
+        *(f"{name}_iterations" for name in SOLVERS),
+        "wall_seconds",
+    )
+
+
+def numbered(names, vesicles):
+    """Names of columns for each of some vesicles: area, or area_0, area_1 and so on."""
+    if vesicles < 2:
+        return list(names)
+    return [f"{name}_{number}" for number in range(vesicles) for name in names]
 
 
 class Diagnostics:
@@ -42,13 +41,15 @@ class Diagnostics:
     Parameters
     ----------
     problem : Problem
-    reference : dict, optional
+    reference : dict of str to list, optional
         `area` and `perimeter` that the errors refer to; taken from the first state otherwise.
     """
 
     def __init__(self, problem, reference=None):
         self.problem = problem
         self.reference = reference
+        self.vesicles = 0 if problem.membranes is None else problem.membranes.count
+        self.columns = columns(self.vesicles)
         self._cells = problem.grid.pressure_vector()
 
     def row(self, state, step=None, ledger=None, largest_energy=0.0):
@@ -68,24 +69,21 @@ class Diagnostics:
         dict
             By column; None where a column does not apply.  Equal on all ranks.
         """
-        row = dict.fromkeys(COLUMNS)
+        row = dict.fromkeys(self.columns)
         row.update(step=state.step, time=state.time)
         energies = energy.measure(self.problem, state)
-        row.update(
-            kinetic=energies.kinetic,
-            tension_energy=energies.tension,
-            bending_energy=energies.bending,
-            energy=energies.total,
-        )
+        row.update(kinetic=energies.kinetic, energy=energies.total)
+        row.update((f"{name}_energy", value) for name, value in energies.laws.items())
         row.update(self._fluid(state, step))
+        row["effective_viscosity"] = rheology.effective_viscosity(self.problem, state.velocity)
         if self.problem.membranes is not None:
-            row.update(self._vesicle(state, step))
+            row.update(self._vesicles(state, step))
         if step is not None:
             row["dt"] = step.dt
             for name, count in step.iterations.items():
                 row[f"{name}_iterations"] = count
         if ledger is not None:
-            row.update((f"ledger_{name}", getattr(ledger, name)) for name in Ledger.names())
+            row.update((f"ledger_{name}", value) for name, value in ledger.terms().items())
             row["ledger_residual"] = ledger.residual(max(largest_energy, energies.total))
         return row
 
@@ -104,26 +102,42 @@ class Diagnostics:
             measured["cfl"] = step.dt * max(largest / (grid.dx, grid.dy))
         return measured
 
-    def _vesicle(self, state, step):
-        measured = None
+    def _vesicles(self, state, step):
+        measured = gap = None
         if len(state.markers):
-            markers = state.markers
-            center = geometry.centroid(markers)
-            measured = {
-                "area": geometry.area(markers),
-                "perimeter": geometry.perimeter(markers),
-                "inclination": geometry.inclination(markers),
-                "centroid_x": center[0],
-                "centroid_y": center[1],
-            }
-            if step is not None:
-                # It treads as seen from its middle, which may drift where no wall holds it.
-                drift = (center - geometry.centroid(step.start.markers)) / step.dt
-                motion = step.marker_velocity - np.where(self.problem.grid.periodic, drift, 0.0)
-                measured["treading_frequency"] = geometry.treading_frequency(markers, motion)
-        measured = self.problem.grid.comm.tompi4py().bcast(measured)
+            measured = self._shapes(state, step)
+            gap = self.problem.gaps.measure(state.markers).distance
+        measured, gap = self.problem.grid.comm.tompi4py().bcast((measured, gap))
         if self.reference is None:
-            self.reference = {name: measured[name] for name in ("area", "perimeter")}
-        for name, value in self.reference.items():
-            measured[f"{name}_error"] = abs(measured[name] - value) / value
+            self.reference = {name: measured[name].tolist() for name in ("area", "perimeter")}
+        for name, values in self.reference.items():
+            measured[f"{name}_error"] = abs(measured[name] - values) / values
+        row = {"min_gap": gap if np.isfinite(gap) else None}
+        for name, values in measured.items():
+            for column, value in zip(numbered([name], self.vesicles), values):
+                row[column] = value
+        for number in np.flatnonzero(np.isnan(measured["area"])):  # that enclose no area
+            suffix = f"_{number}" if self.vesicles > 1 else ""
+            for name in ("area", "area_error", "inclination", "treading_frequency"):
+                row[name + suffix] = None
+        return row
+
+    def _shapes(self, state, step):
+        """What is measured of each vesicle, arrays by name."""
+        curves, markers = self.problem.membranes.curves, state.markers
+        center = geometry.centroid(markers, curves)
+        measured = {
+            "area": geometry.area(markers, curves),
+            "perimeter": geometry.perimeter(markers, curves),
+            "inclination": geometry.inclination(markers, curves),
+            "centroid_x": center[:, 0],
+            "centroid_y": center[:, 1],
+        }
+        if step is not None:
+            # It treads as seen from its middle, which drifts where it is not held.
+            drift = (center - geometry.centroid(step.start.markers, curves)) / step.dt
+            if curves.count == 1:  # walls hold the middle
+                drift = np.where(self.problem.grid.periodic, drift, 0.0)
+            motion = step.marker_velocity - curves.spread(drift)
+            measured["treading_frequency"] = geometry.treading_frequency(markers, motion, curves)
         return measured

@@ -6,30 +6,47 @@ u^{n+1} in the coupled schemes), U that of the markers and f the forces on them 
     E^{n+1} - E^n = - rho (theta - 1/2) |u* - u^n|^2          inertia
                     - rho dt^2 / 2 |grad phi|^2                projection
                     - mu dt |grad w|^2                         viscous
+                    - dt w . rho N(U) w                        advection
                     - dt f . K f                               kink
-                    - dt^2 (theta - 1/2) |C U|^2               tension, bending: law by law
-                    + wall power + body power + reset.
+                    - (theta - 1/2) |dm|^2                     tension, bending, ...: law by law
+                    + wall power + body power + load power + reset.
 
-Law by law, |C U|^2 is sigma0 |T U|^2 for the tension and c_b |D_ss U|^2 for bending.  The reset is
-the energy put in when the stretching and the markers that the step predicted are replaced by those
-carried on.  Theorems 3.1 and 3.2 of Hu & Lai are the case of walls at rest without correction.
+In the advection term U is the transport, and N(U) U stands for N(U) w where it is explicit; the
+implicit one is zero unless fluid passes through walls (see `fluid.advection`).
+
+dm is the change of a law's stresses that the step predicts: dt C U, and what moved tethers add.
+Law by law, |C U|^2 is sigma0 |T U|^2 for the tension and c_b |D_ss U|^2 for bending.  The load
+power is that of given forces and of moved tethers.  The reset is the energy put in when the
+stretching and the markers that the step predicted are replaced by those carried on.  Theorems 3.1
+and 3.2 of Hu & Lai are the case of walls at rest without correction.
 """
 
-from dataclasses import astuple, dataclass, fields
+from dataclasses import dataclass, field, fields
+
+from .membranes.laws import LAWS
+
+
+class _ByLaw:
+    """The part of a law, by its name, reads like any other: ``energies.tension``."""
+
+    def __getattr__(self, name):
+        try:
+            return self.__dict__["laws"][name]
+        except KeyError:
+            raise AttributeError(name) from None
 
 
 @dataclass
-class Energies:
-    """Kinetic, tension and bending energy; equal on all ranks."""
+class Energies(_ByLaw):
+    """Kinetic energy and that of each law of the membranes; equal on all ranks."""
 
     kinetic: float
-    tension: float = 0.0
-    bending: float = 0.0
+    laws: dict
 
     @property
     def total(self):
         """Their sum E."""
-        return sum(astuple(self))
+        return self.kinetic + sum(self.laws.values())
 
 
 def measure(problem, state):
@@ -37,22 +54,23 @@ def measure(problem, state):
     operators, grid = problem.operators, problem.grid
     squares = state.velocity.dot(state.velocity) - operators.wall_faces / 2
     kinetic = problem.rho / 2 * grid.cell_area * squares
-    if not problem.acted_on:
-        return Energies(kinetic)
-    membranes = problem.membranes
-    local = membranes.energies(membranes.stress(state.markers, state.stretch))
-    return Energies(kinetic, **grid.comm.tompi4py().bcast(local))
+    laws = dict.fromkeys(LAWS, 0.0)
+    if problem.acted_on:
+        local = problem.membranes.energies(state.markers, state.stretch, state.time)
+        laws.update(grid.comm.tompi4py().bcast(local))
+    return Energies(kinetic, laws)
 
 
 @dataclass
-class Ledger:
+class Ledger(_ByLaw):
     """Terms of the energy law over one step: changes of energy, dissipation negative.
 
     Attributes
     ----------
-    inertia, projection, viscous, kink, tension, bending, wall_power, body_power, reset :
-        float
+    inertia, projection, viscous, advection, kink, wall_power, body_power, load_power, reset : float
         The terms above.
+    laws : dict of str to float
+        Those of each law.
     change : float
         E^{n+1} - E^n.
     """
@@ -60,22 +78,35 @@ class Ledger:
     inertia: float = 0.0
     projection: float = 0.0
     viscous: float = 0.0
+    advection: float = 0.0
     kink: float = 0.0
-    tension: float = 0.0
-    bending: float = 0.0
+    laws: dict = field(default_factory=lambda: dict.fromkeys(LAWS, 0.0))
     wall_power: float = 0.0
     body_power: float = 0.0
+    load_power: float = 0.0
     reset: float = 0.0
     change: float = 0.0
 
+    def terms(self):
+        """All by name, in order; the last is the change."""
+        terms = {}
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            terms.update(value if entry.name == "laws" else {entry.name: value})
+        return terms
+
     def __add__(self, other):
-        return Ledger(*(a + b for a, b in zip(astuple(self), astuple(other))))
+        laws = {name: value + other.laws[name] for name, value in self.laws.items()}
+        return Ledger(laws=laws, **{
+            entry.name: getattr(self, entry.name) + getattr(other, entry.name)
+            for entry in fields(self) if entry.name != "laws"
+        })
 
     @property
     def defect(self):
         """What the terms leave unexplained of the change."""
-        terms = astuple(self)
-        return terms[-1] - sum(terms[:-1])
+        *terms, change = self.terms().values()
+        return change - sum(terms)
 
     def residual(self, largest_energy):
         """Size of the defect relative to the largest energy so far."""
@@ -84,7 +115,7 @@ class Ledger:
     @staticmethod
     def names():
         """Names of the terms, in order."""
-        return [entry.name for entry in fields(Ledger)]
+        return list(Ledger().terms())
 
 
 def balance(problem, step):
@@ -113,6 +144,8 @@ def balance(problem, step):
         ledger.wall_power = mu * dt * area * (operators.wall_norm - drag)
     ledger.viscous = -mu * dt * area * gradient
 
+    if problem.advection is not None:
+        ledger.advection = -dt * area * problem.advection.power(step.transport, stage)
     if problem.body_force is not None:
         ledger.body_power = dt * area * stage.dot(problem.body_force)
 
@@ -127,20 +160,14 @@ def balance(problem, step):
     work.destroy()
 
     if problem.acted_on:
-        terms = _membrane_terms(problem.membranes, step, excess)
-        for name, value in problem.grid.comm.tompi4py().bcast(terms).items():
-            setattr(ledger, name, value)
+        ledger.kink, ledger.load_power, ledger.reset, laws = problem.grid.comm.tompi4py().bcast(
+            _at_markers(problem.membranes, step))
+        ledger.laws.update(laws)
     return ledger
 
 
-def _membrane_terms(membranes, step, excess):
-    """Dissipation by slip and by each law, and the reset; on the rank with the markers."""
-    dt, rate = step.dt, step.stress_rate
-    stress = membranes.stress(step.start.markers, step.start.stretch)
-    carried = membranes.stress(step.end.markers, step.end.stretch)
-    predicted = stress + dt * rate
-    terms = {"kink": -dt * step.slip_power}
-    terms["reset"] = (carried @ carried - predicted @ predicted) / 2
-    for name, energy in membranes.energies(rate).items():
-        terms[name] = -2 * excess * dt**2 * energy
-    return terms
+def _at_markers(membranes, step):
+    """Slip, load power, reset and the terms of the laws; on the rank with the markers."""
+    end, terms = step.end, step.ledger
+    carried = sum(membranes.energies(end.markers, end.stretch, end.time).values())
+    return terms["kink"], terms["load_power"], carried - terms["predicted"], terms["laws"]

@@ -24,6 +24,10 @@ class WallError(SolveError):
     """The membrane has come to where the box ends; a smaller time step would not help."""
 
 
+class CrossingError(SolveError):
+    """Membranes have crossed: what they enclose means nothing any more."""
+
+
 class Crash(SolveError):
     """An exception that nobody foresaw: there is no going on from where it leaves the solvers.
 

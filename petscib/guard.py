@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from .errors import SolveError, WallError
+from .errors import CrossingError, SolveError, WallError
 
+CLOSE = 1.0  # cells between two membranes: less than the delta function reaches from either
 NEAR = 1.0  # vesicle radii beyond a wall's reach: as far as the flow may carry it in a step
 
 
@@ -19,6 +20,7 @@ def check(problem, state):
         if not np.isfinite(vector.getArray(readonly=True)).all():
             raise SolveError(f"the {name} is no longer finite")
     check_markers(problem, state.markers)
+    check_crossing(problem, state.markers)
 
 
 def check_markers(problem, markers):
@@ -37,16 +39,47 @@ def check_markers(problem, markers):
     low, high = np.array([a, c]), np.array([b, d])
     reach = problem.kernel.reach * np.array([problem.grid.dx, problem.grid.dy])
     gaps = np.stack((markers - low, high - markers)) - reach
-    gaps[:, :, np.array(problem.grid.periodic)] = np.inf
+    periodic = np.array(problem.grid.periodic)
+    gaps[:, :, periodic] = np.inf
     if (gaps >= 0).all():
         return
     side, marker, axis = np.unravel_index(np.argmin(gaps), gaps.shape)
     wall = f"{'xy'[axis]} = {problem.grid.domain[2 * axis + side]:.4g}"
     where = ", ".join(f"{x:.4g}" for x in markers[marker])
-    radius = np.ptp(markers, axis=0).min() / 2
-    if gaps.min() > -NEAR * radius and (np.ptp(markers, axis=0) < high - low).all():
+    curves = problem.membranes.curves
+    vesicle = int(curves.owner[marker])
+    size = np.ptp(curves.parts(markers)[vesicle], axis=0)
+    name = f"vesicle {vesicle}" if curves.count > 1 else "the vesicle"
+    if gaps.min() > -NEAR * size.min() / 2 and (size < high - low)[~periodic].all():
         raise WallError(
-            f"the vesicle has come to the wall {wall}, where the box ends: marker {marker} is at "
+            f"{name} has come to the wall {wall}, where the box ends: marker {marker} is at "
             f"({where}), and the delta function reaches {reach[axis]:.3g}"
         )
     raise SolveError(f"marker {marker} was thrown to ({where}), beyond the wall {wall}")
+
+
+def check_crossing(problem, markers):
+    """Refuse membranes that have crossed each other.  Not collective.
+
+    Raises
+    ------
+    CrossingError
+        On the rank that has the markers.
+    """
+    if not len(markers) or problem.membranes.count < 2:
+        return
+    pair = problem.gaps.measure(markers).crossed
+    if pair:
+        raise CrossingError(f"the membranes of vesicles {pair[0]} and {pair[1]} have crossed")
+
+
+def near(problem, markers):
+    """A warning where the flow between two membranes is not resolved, or an empty text."""
+    if not len(markers) or problem.membranes.count < 2:
+        return ""
+    gap = problem.gaps.measure(markers)
+    cells = gap.between / max(problem.grid.dx, problem.grid.dy)
+    if not cells < CLOSE:
+        return ""
+    return (f"vesicles {gap.pair[0]} and {gap.pair[1]} are {cells:.2g} cells apart; below "
+            f"{CLOSE:g} the flow between them is not resolved, and -contact keeps them apart")

@@ -8,13 +8,16 @@ import difflib
 import math
 import re
 import textwrap
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from petscib import scenes
 from petscib.coupling.kernels import KERNELS
 from petscib.errors import InputError
+from petscib.fluid.flows import FLOWS
+from petscib.schemes.registry import SCHEMES
 from petscib.settings import Settings, check, check_domain, resolve, text_of
+from petscib.vesicles import OWN, split
 
 # Magnitudes that the sums and products of a run can hold, in whatever units.
 SMALLEST, LARGEST = 1e-60, 1e60
@@ -175,13 +178,12 @@ class Option:
 # --- the table
 
 RUN, FLUID, SHAPE, MEMBRANE, TIME, OUTPUT = GROUPS = (
-    "Run", "Fluid and background flow", "Shape of the vesicle", "Membrane", "Scheme and time",
+    "Run", "Fluid and background flow", "Shape of the vesicles", "Membrane", "Scheme and time",
     "Results")
 
 ANY, POSITIVE, NOT_NEGATIVE = Number(), Number(0, open_low=True), Number(0)
 FRACTION = Number(0, 1, open_low=True, open_high=True)
 CELLS = Whole(8, 2**15)
-SCHEMES = "ep", "mbe", "mcn", "be", "cn", "gbe", "gcn"
 
 _ROWS = (
     Option("scene", Choice(tuple(scenes.SCENES)), scenes.DEFAULT, RUN,
@@ -206,17 +208,34 @@ _ROWS = (
            "directions in which the box repeats itself, without walls"),
     Option("rho", POSITIVE, 1.0, FLUID, "density", "mass/area"),
     Option("mu", POSITIVE, 1.0, FLUID, "viscosity", "mass/time"),
-    Option("flow", Choice(("rest", "shear", "extensional", "poiseuille")), "rest", FLUID,
+    Option("advection", Choice(("none", "explicit", "implicit")), "none", FLUID,
+           "whether the flow carries its momentum along (Navier-Stokes), and how that is treated: "
+           "explicit is cheaper, implicit stable at any time step"),
+    Option("flow", Choice(tuple(FLOWS)), "rest", FLUID,
            "background flow: on the walls, and at the start"),
     Option("shear_rate", ANY, 1.0, FLUID, "rate of the background flow (0 at rest)", "1/time"),
     Option("body_force", Numbers(("fx", "fy")), (0.0, 0.0), FLUID,
            "uniform force on the fluid, as a pressure gradient would drive it", "force/area"),
 
-    Option("vesicles", Whole(0, 1), 1, SHAPE, "number of vesicles"),
+    Option("vesicles", Whole(0, 10000), 1, SHAPE, "number of vesicles"),
+    Option("vesicle_file", Path(), None, SHAPE, "list of vesicles, one a line: words such as "
+           "axes=0.1,0.3 center=0.2,0 for what differs from the common values",
+           automatic="none"),
+    Option("arrangement", Choice(("none", "lattice", "random")), "none", SHAPE,
+           "where vesicles lie: at their -center, in rows, or anywhere at any angle; the latter "
+           "two without overlap"),
+    Option("seed", Whole(0), 0, SHAPE, "of the random arrangement"),
+    Option("area_fraction", FRACTION, None, SHAPE, "part of the box inside vesicles of an "
+           "arrangement: sets their number, or if that is given the size of their axes",
+           automatic="by number and axes"),
+    Option("shape", Choice(("ellipse", "line", "plate")), "ellipse", SHAPE, "an ellipse; a line "
+           "across a periodic box; an open straight line of the length 2 ry"),
     Option("axes", Numbers(("rx", "ry"), POSITIVE), (0.1, 0.5), SHAPE,
            "half axes of the ellipse (rx sin s, ry cos s)", "length"),
     Option("center", Numbers(("x", "y")), (0.0, 0.0), SHAPE, "its centre", "length"),
     Option("angle", Number(-360, 360), 0.0, SHAPE, "its rotation, counter-clockwise", "degrees"),
+    Option("amplitude", ANY, 0.0, SHAPE, "of a sine, one wave of which a line across the box "
+           "makes", "length"),
     Option("markers", Whole(0, 10**7), 0, SHAPE, "markers, equally spaced in arclength; 0: by "
            "the grid", automatic="0: spacing h/2"),
     Option("marker_file", Path(), None, SHAPE, "closed curve to use instead of the ellipse: a "
@@ -225,9 +244,17 @@ _ROWS = (
 
     Option("sigma0", NOT_NEGATIVE, 1e5, MEMBRANE, "tension stiffness", "force"),
     Option("bending", NOT_NEGATIVE, 0.01, MEMBRANE, "bending rigidity", "force length^2"),
-    Option("rest_length", POSITIVE, None, MEMBRANE,
+    Option("rest_length", NOT_NEGATIVE, None, MEMBRANE,
            "elastic membrane: stretching without tension, where the start has 1",
            automatic="the initial stretching"),
+    Option("tether", NOT_NEGATIVE, 0.0, MEMBRANE,
+           "stiffness of springs from the markers to where they start", "force/length^2"),
+    Option("load", Numbers(("fx", "fy")), (0.0, 0.0), MEMBRANE,
+           "given force on the membrane, such as its weight", "force/length"),
+    Option("contact", NOT_NEGATIVE, 0.0, MEMBRANE, "strength K of a repulsion between membranes "
+           "and from walls, with the energy K/2 (1 - distance/range)^4 per length^2; 0: none",
+           "force/length"),
+    Option("contact_range", Number(0.1, 100), 2.0, MEMBRANE, "its range", "cells"),
     Option("delta", Choice(tuple(KERNELS)), "yang", MEMBRANE,
            "smoothed delta function between markers and grid"),
     Option("kink_correction", Flag(), None, MEMBRANE, "let markers slip by what smoothing takes "
@@ -237,8 +264,8 @@ _ROWS = (
     Option("stretch", Choice(("recompute", "evolve")), "recompute", MEMBRANE,
            "stretching from the markers at each step, or as a variable of its own"),
 
-    Option("scheme", Choice(SCHEMES), "mbe", TIME,
-           "explicit (ep), modified (mbe, mcn), coupled (be, cn), geometric (gbe, gcn)"),
+    Option("scheme", Choice(tuple(SCHEMES)), "mbe", TIME,
+           "; ".join(f"{name}: {scheme.words}" for name, scheme in SCHEMES.items())),
     Option("startup", Whole(0, 1000), None, TIME,
            "first steps taken as two backward Euler half steps",
            automatic="1 for cn and gcn, else 0"),
@@ -250,8 +277,8 @@ _ROWS = (
     Option("ts_rtol", FRACTION, None, TIME, "choose the time step, from ts_dt on, by the error "
            "that it makes in the markers' positions, relative to the vesicle's size; at most 64 "
            "ts_dt", automatic="none: fixed time steps"),
-    Option("ts_adapt", Flag(), False, TIME, "retry a failed step with half the time step, and "
-           "grow it back later"),
+    Option("ts_adapt", Flag(), False, TIME, "retry a failed step with half the time step, halve "
+           "it before explicit advection makes one fail, and grow it back later"),
 
     Option("output", Path(), None, OUTPUT, "directory of the results", automatic="out/SCENE"),
     Option("monitor", Choice(("none", "bar", "log")), None, OUTPUT, "progress on the screen",
@@ -269,6 +296,15 @@ _ROWS = (
 
 TABLE = {option.name: option for option in _ROWS}
 
+
+def option_of(name):
+    """The row of an option, also of one vesicle's own such as vesicle_1_axes; None if unknown."""
+    number, base = split(name)
+    if number is None:
+        return TABLE.get(name)
+    return replace(TABLE[base], name=name) if base in OWN else None
+
+
 # --- what is PETSc's business
 
 SOLVERS = (
@@ -277,6 +313,8 @@ SOLVERS = (
     ("coupled_", "velocity and pressure together, be, cn, gbe, gcn (FGMRES; CG with -fft)"),
     ("momentum_velocity_", "fluid's solve inside a block iteration; likewise coupled_velocity_"),
     ("coupled_poisson_", "pressure solve inside the preconditioner"),
+    ("momentum_advection_", "ksp_rtol and ksp_max_it of implicit advection with -fft; likewise "
+     "coupled_advection_"),
     ("momentum_model_", "direct solver in marker space; likewise coupled_model_"),
     ("momentum_stress_", "direct solver of the eliminated membrane stresses"),
     ("coupled_direct_", "direct solver of the whole matrix, without the kink correction"),
@@ -316,7 +354,7 @@ def is_petsc(name):
 
 
 def read(database):
-    """The settings asked for.
+    """The settings asked for.  What `vesicle_files.expand` has to say is in there already.
 
     Parameters
     ----------
@@ -335,8 +373,9 @@ def read(database):
     """
     given = {}
     for name, text in database.items():
-        if name.lower() in TABLE:
-            given[name.lower()] = value_of(TABLE[name.lower()], text or "")
+        option = option_of(name.lower())
+        if option is not None:
+            given[option.name] = value_of(option, text or "")
         elif not is_petsc(name.lower()):
             raise InputError(_unknown(name, text or ""))
     scene = scenes.SCENES[given.get("scene", scenes.DEFAULT)]
@@ -344,12 +383,12 @@ def read(database):
     values.update(scene.settings, scene=scene.name)
     values.update(given)
     check_domain(values["domain"])
-    resolve(values, set(given), scene.cfl)
+    resolve(values, set(given), scene.cfl_of(values["scheme"]))
     settings = Settings(values, given)
     for name in ("stag_grid_x", "stag_grid_y"):  # one of them may follow from the other
         value_of(TABLE[name], text_of(getattr(settings, name)))
     check(settings, [option.name for option in _ROWS if option.group in (SHAPE, MEMBRANE)
-                     and option.name not in ("delta", "stretch")])
+                     and option.name not in ("delta", "stretch", "contact_range")])
     return settings
 
 
@@ -377,9 +416,10 @@ def reject_stray_words(arguments):
     for word in arguments:
         words = [word] if re.match(r"--?[A-Za-z]", word) else [*words, word]
         name = words[0].lstrip("-").lower()
-        ours = name in TABLE
+        option = option_of(name)
+        ours = option is not None
         if len(words) > 2 or not words[0].startswith("-") or (ours and len(word.split()) > 1):
-            allowed = TABLE[name].kind.allowed if ours else "-name value"
+            allowed = option.kind.allowed if ours else "-name value"
             raise InputError(f"{_short(' '.join(words))}: one value without blanks may follow "
                              f"an option; allowed: {allowed}")
 
@@ -417,9 +457,18 @@ def _unknown(name, text):
             + (f"; nearest: -{near}" if near else ""))
 
 
+def nearest(name, names):
+    """The one of some names that is most like another, or None."""
+    near = difflib.get_close_matches(name, names, 1, 0.5)
+    return near[0] if near else None
+
+
 def _nearest(name):
     """The known option most like an unknown one, or None."""
     word, _, rest = name.partition("_")
+    number, base = split(name)
+    if number is not None:
+        return f"vesicle_{number}_{nearest(base, OWN) or OWN[0]}"
     if word in ("ksp", "pc"):
         return "momentum_" + name  # every solve here has a prefix
     for solver in _SOLVER_WORDS:
@@ -457,6 +506,9 @@ def help_text():
                 allowed = "" if plain else f"{option.kind.allowed}; "
                 lines += _entry(f"-{option.name} {option.kind.symbol}",
                                 f"{option.help}{unit} ({allowed}default: {option.default_text})")
+    lines += ["", *textwrap.wrap(
+        "With several vesicles, -vesicle_0_axes, -vesicle_1_center and so on give one vesicle its "
+        "own value of " + ", ".join(OWN) + ".", 100)]
     lines += ["", "Solvers: PETSc's ksp_ and pc_ options behind each prefix, as in "
               "-momentum_ksp_rtol 1e-8"]
     for prefix, text in SOLVERS:

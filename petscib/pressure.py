@@ -11,9 +11,9 @@ phi = -c times the indicator of the membrane's inside, but for a constant and th
 
 from dataclasses import replace
 
+from .errors import SolveError
 from .membranes.mobility import AreaProjector
-from .solvers.poisson import PoissonSolver
-from .solvers.transforms.poisson import PoissonTransform
+from .solvers.poisson import poisson_solver
 
 # In a state's history: c of each membrane, on rank 0; and, in files, the pressure without jumps.
 JUMP, BARE = "pressure_jump", "bare_pressure"
@@ -31,24 +31,31 @@ class ShownPressure:
 
     def __init__(self, problem, fft):
         self.problem, self.fft = problem, fft
+        self.trouble = ""
         self._poisson = None
 
     def state(self, state):
         """A state to write: the same one, or a copy with the pressure shown.
 
         The copy's history holds the pressure without jumps, from which a restart goes on; its
-        pressure belongs to this object, and is good until the next call.
+        pressure belongs to this object, and is good until the next call.  Where the jumps cannot
+        be solved for, the state is written without them, and `trouble` says why.
         """
+        self.trouble = ""
         if JUMP not in state.history:
             return state
+        try:
+            pressure = self._add_jumps(state)
+        except SolveError as error:
+            self.trouble = str(error)
+            return state
         history = {**state.history, BARE: state.pressure}
-        return replace(state, pressure=self._add_jumps(state), history=history)
+        return replace(state, pressure=pressure, history=history)
 
     def _add_jumps(self, state):
         problem, grid = self.problem, self.problem.grid
         if self._poisson is None:
-            transform = PoissonTransform(grid) if self.fft else None
-            self._poisson = PoissonSolver(problem.operators, transform=transform)
+            self._poisson = poisson_solver(problem.operators, self.fft)
             self._force, self._source = grid.velocity_vector(), grid.pressure_vector()
             self._pressure = grid.pressure_vector()
         curves = problem.membranes.curves

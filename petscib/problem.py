@@ -10,6 +10,7 @@ from .agreement import on_root
 from .coupling.interpolation import Interpolation
 from .events import phase
 from .membranes import mobility
+from .membranes.gaps import Gaps
 from .solvers.markers import MarkerOperators
 
 
@@ -27,7 +28,7 @@ class State:
         Over all cells, mean zero.
     markers : ndarray, shape (M, 2)
         Positions on rank 0; (0, 2) elsewhere.
-    stretch : ndarray, shape (M,)
+    stretch : ndarray, shape (H,)
         Stretching |X_s| that the next step starts from, at the half points; rank 0.
     history : dict of str to ndarray, PETSc.Vec or float
         What a scheme wants to find again at the next step besides, such as earlier marker
@@ -70,8 +71,11 @@ class Step:
         U that carried the markers over the step.
     stress_rate : ndarray, shape (R,)
         Rates C U of the membranes' stresses at the stage; None without forces.
-    slip_power : float
-        Power f . K f of the kink correction, on rank 0.
+    ledger : dict
+        Terms of the energy law that are known at the markers (see `energy`), on rank 0; and the
+        energy of the stresses that the step predicted.
+    transport : PETSc.Vec or None
+        What carried momentum along; None without advection.
     iterations : dict
         Linear and nonlinear iterations by solver.
     parts : tuple of Step
@@ -87,7 +91,8 @@ class Step:
     projection: PETSc.Vec = None
     marker_velocity: np.ndarray = None
     stress_rate: np.ndarray = None
-    slip_power: float = 0.0
+    ledger: dict = field(default_factory=dict)
+    transport: PETSc.Vec = None
     iterations: dict = field(default_factory=dict)
     parts: tuple = ()
 
@@ -107,6 +112,8 @@ class Step:
         for step in self.parts or (self,):
             if step.projection is not None:
                 step.projection.destroy()
+            if step.transport is not None and step.transport is not step.stage:
+                step.transport.destroy()
         # petsc4py frees what Python has dropped only on request, on all ranks together.
         PETSc.garbage_cleanup(PETSc.COMM_SELF)
         PETSc.garbage_cleanup(comm)
@@ -134,15 +141,20 @@ class Problem:
         Signed areas that the membranes are to keep, on rank 0; None leaves them free.
     body_force : (float, float)
         Uniform force per unit area on the fluid.
+    advection : Advection, optional
+        None: creeping flow, whose momentum is not carried along.
 
     Attributes
     ----------
     body_force : PETSc.Vec or None
         The same on the faces; None where there is none.
+    gaps : Gaps or None
+        How near the membranes are, for rank 0.
     """
 
     def __init__(self, grid, operators, rho, mu, membranes=None, kernel=None, evolve=False,
-                 kink_correction=True, areas=None, body_force=(0.0, 0.0)):
+                 kink_correction=True, areas=None, body_force=(0.0, 0.0),
+                 advection=None):
         self.grid = grid
         self.operators = operators
         self.rho, self.mu = rho, mu
@@ -151,12 +163,24 @@ class Problem:
         self.evolve = evolve
         self.kink_correction = kink_correction
         self.areas = areas
+        self.gaps = None if membranes is None else Gaps(membranes.curves, grid)
         self.body_force = operators.uniform_force(body_force) if any(body_force) else None
+        self.advection = advection
+
+    @property
+    def curves(self):
+        """The curves of the membranes, or None."""
+        return self.membranes and self.membranes.curves
 
     @property
     def acted_on(self):
         """Whether membranes exert forces on the fluid."""
-        return self.membranes is not None and self.membranes.act
+        return self.membranes is not None and (self.membranes.act or self.loaded)
+
+    @property
+    def loaded(self):
+        """Whether given forces act on membranes."""
+        return self.membranes is not None and bool(self.membranes.loads)
 
     @property
     def conserve_area(self):
@@ -211,24 +235,87 @@ class Problem:
         """Stresses of the membranes in a state, on rank 0; None where no membrane acts."""
         if not self.acted_on:
             return None
-        return self.membranes.stress(state.markers, state.stretch)
+        self.membranes.cover(state.markers, state.markers)
+        return self.membranes.stress(state.markers, state.stretch, state.time)
 
-    def fluid_rhs(self, state, interval, rhs):
-        """Set rhs = rho / (theta dt) u^n + mu (walls' part of the Laplacian) + body force."""
+    def stress_drift(self, state, dt):
+        """How the stresses of a state change in time by themselves, where tethers are moved."""
+        membranes = self.membranes
+        return (membranes.stress(state.markers, state.stretch, state.time + dt)
+                - membranes.stress(state.markers, state.stretch, state.time))
+
+    def spread_load(self, load, markers, rhs):
+        """Add a given force (M, 2) on markers in a place to the fluid's.  Collective."""
+        interpolation = self.interpolation(markers)
+        if self.conserve_area:
+            load = mobility.AreaProjector(self.membranes.curves, markers).project(load)
+        interpolation.spread_add(load, rhs)
+        interpolation.destroy()
+
+    def transport(self, state, ahead):
+        """The velocity expected a time `ahead` of a state, to carry momentum along.
+
+        Returns
+        -------
+        PETSc.Vec or None
+            A new vector; None without advection.
+        """
+        if self.advection is None:
+            return None
+        velocity = state.velocity.copy()
+        if ahead and "velocity_rate" in state.history:
+            velocity.axpy(ahead, state.history["velocity_rate"])
+        return velocity
+
+    def fluid_rhs(self, state, interval, rhs, transport=None):
+        """Set rhs = rho / (theta dt) u^n + mu (walls' part of the Laplacian) + body force.
+
+        Less the part of advection that does not depend on the solution, with a transport.
+        """
         state.velocity.copy(rhs)
         rhs.scale(self.rho / interval)
         if self.operators.wall_source is not None:
             rhs.axpy(self.mu, self.operators.wall_source)
         if self.body_force is not None:
             rhs.axpy(1.0, self.body_force)
+        if transport is not None:
+            self.advection.load(rhs, transport)
 
-    def account(self, operators, stage, motion):
-        """What the energy law asks of the markers' part of a step: fields of the Step."""
+    def account(self, state, dt, theta, operators, stage, motion, load_power=0.0):
+        """What the energy law asks of the markers' part of a step: fields of the Step.
+
+        Parameters
+        ----------
+        state : State
+            The step's start.
+        dt, theta : float
+        operators : MarkerOperators
+        stage : Stage
+        motion : ndarray, shape (M, 2)
+            U at the stage.
+        load_power : float
+            Power of given forces on the fluid.
+        """
         if not self.acted_on:
             return {}
-        force = operators.force(stage.stress)
+        membranes = self.membranes
+        rate, stress = operators.rate(motion), self.stress(state)
+        change = dt * rate
+        force = operators.force(stage.stress) + stage.load
         slip = operators.slip_velocity(force)
-        return {"stress_rate": operators.rate(motion), "slip_power": float(np.sum(force * slip))}
+        work = dt * (load_power + np.sum(stage.load * slip))
+        if membranes.move:
+            drift = self.stress_drift(state, dt)
+            change = change + drift
+            work += (stress + theta * change) @ drift
+        predicted = stress + change
+        return {"stress_rate": rate, "ledger": {
+            "kink": -dt * np.sum(force * slip),
+            "load_power": work,
+            "predicted": predicted @ predicted / 2,
+            "laws": {name: (1 - 2 * theta) * energy
+                     for name, energy in membranes.by_law(change).items()},
+        }}
 
     def keep_areas(self, markers):
         """Move markers back to where their membranes have the areas they are to keep."""

@@ -14,6 +14,7 @@ from .agreement import on_root
 from .errors import InputError
 from .output import checkpoint, files
 from .settings import given_text, text_of
+from .vesicles import split
 
 LATEST = "latest"
 # What the saved state was made with.  Everything else (scheme, delta function, fluid, membrane
@@ -21,7 +22,8 @@ LATEST = "latest"
 # on the walls' faces are part of the state; rest_length, because the rest stretching is.
 FIXED = (
     "scene", "stag_grid_x", "stag_grid_y", "domain", "periodic", "flow", "shear_rate", "vesicles",
-    "axes", "center", "angle", "markers", "marker_file", "rest_length",
+    "vesicle_file", "arrangement", "seed", "area_fraction", "shape", "axes", "center", "angle",
+    "amplitude", "markers", "marker_file", "rest_length",
 )
 
 
@@ -101,11 +103,15 @@ def _saved_options(header, output):
 
 
 def _refuse_changes(now, header):
-    for name in FIXED:
-        if name not in now:
+    for name in sorted(now, key=lambda name: FIXED.index(name) if name in FIXED else len(FIXED)):
+        number, base = split(name)
+        if (name if number is None else base) not in FIXED:
             continue
-        value = options.value_of(options.TABLE[name], now[name] or "")
-        saved = header.options.get(name, options.TABLE[name].default)  # an older file lacks some
+        value = options.value_of(options.option_of(name), now[name] or "")
+        common = name if number is None else base
+        # An older file lacks some.
+        saved = header.options.get(common, options.TABLE[common].default)
+        saved = header.options.get(name, saved)
         saved = tuple(saved) if isinstance(saved, list) else saved
         if value != saved:
             allowed = f"{text_of(saved)}, or no -{name}" if saved is not None else f"no -{name}"

@@ -14,6 +14,8 @@ from petscib.coupling.kernels import KERNELS
 from petscib.errors import InputError
 from petscib.fluid.flows import FLOWS, VARIES
 from petscib.membranes.shapes import ellipse_perimeter
+from petscib.schemes.registry import SCHEMES
+from petscib.vesicles import OWN, of, split
 
 # The widest marker spacing, in cells. Prototypes were sound from 0.2 to 2 cells; wider and fluid
 # passes between the markers.
@@ -47,6 +49,19 @@ class Settings:
 
     def __repr__(self):
         return "Settings({})".format(", ".join(f"{k}={v!r}" for k, v in self.__dict__.items()))
+
+    def vesicle(self, number):
+        """The values of one vesicle, a `vesicles.Vesicle`."""
+        return of(self.__dict__, number)
+
+    def each_vesicle(self):
+        """Those of all."""
+        return [self.vesicle(number) for number in range(self.vesicles)]
+
+    @property
+    def line_axis(self):
+        """Direction of lines across the box, 0 for x: the first in which it is periodic."""
+        return 0 if "x" in self.periodic else 1
 
     def to_dict(self):
         """Every value and, under ``given``, the sorted names the user gave; fit for JSON."""
@@ -92,9 +107,10 @@ def typical_speed(values):
         in all systems of units. Infinite or not a number if the values are beyond all measure.
     """
     a, b, c, d = values["domain"]
-    x, y = np.meshgrid((a, (a + b) / 2, b), (c, (c + d) / 2, d))
+    eighths = np.arange(9) / 8  # where all flows have their top speed, vortices at quarters
+    x, y = np.meshgrid(a + (b - a) * eighths, c + (d - c) * eighths)
     rho, mu = np.float64(values["rho"]), np.float64(values["mu"])
-    bending = values["bending"] if values["vesicles"] else 0.0
+    bending = max((of(values, k).bending for k in range(values["vesicles"])), default=0.0)
     size = min(b - a, d - c) / 2
     with np.errstate(all="ignore"):
         flow = np.abs(FLOWS[values["flow"]](x, y, values["shear_rate"], values["domain"])).max()
@@ -125,6 +141,8 @@ def resolve(values, given, cfl):
     elif given & {"stag_grid_x", "stag_grid_y"} == {"stag_grid_y"}:
         values["stag_grid_x"] = max(1, round(values["stag_grid_y"] * (b - a) / (d - c)))
     derived = {}
+    if values["area_fraction"] is not None and values["arrangement"] != "none":
+        _fill_box(values, given)
     if values["ts_dt"] is None:
         cells = values["stag_grid_x"], values["stag_grid_y"]
         speed = typical_speed(values)
@@ -134,19 +152,31 @@ def resolve(values, given, cfl):
                              "values; allowed: number above 0")
         derived["ts_dt"] = dt
     if values["startup"] is None:
-        derived["startup"] = int(values["scheme"] in ("cn", "gcn"))
+        derived["startup"] = SCHEMES[values["scheme"]].startup
     for name in ("kink_correction", "conserve_area"):
         if values[name] is None:
-            derived[name] = values["scheme"] != "ep"
+            derived[name] = SCHEMES[values["scheme"]].implicit
     if values["output"] is None:
         derived["output"] = os.path.join("out", values["scene"])
     if values["flow"] == "rest":
         derived["shear_rate"] = 0.0
-    if values["marker_file"] is not None:
+    if values["marker_file"] is not None or values["shape"] == "line":
         derived["axes"] = None
     if values["vesicles"] == 0:
         derived.update(axes=None, sigma0=0.0, bending=0.0, rest_length=None)
     values.update({name: value for name, value in derived.items() if name not in given})
+
+
+def _fill_box(values, given):
+    """Number of vesicles, or the size of their axes, from the part of the box that they fill."""
+    a, b, c, d = values["domain"]
+    rx, ry = values["axes"]
+    inside = values["area_fraction"] * (b - a) * (d - c) / (np.pi * rx * ry)
+    if "vesicles" in given and "axes" not in given:
+        size = np.sqrt(inside / max(values["vesicles"], 1))
+        values["axes"] = (size * rx, size * ry)
+    elif "vesicles" not in given:
+        values["vesicles"] = max(1, round(min(inside, 1e6)))
 
 
 def check(settings, shape_options):
@@ -163,10 +193,12 @@ def check(settings, shape_options):
     InputError
     """
     _check_choices(settings)
-    _check_vesicle(settings, shape_options)
+    _check_vesicles(settings, shape_options)
     _check_files(settings)
-    if settings.axes is not None and settings.restart is None:
-        check_ellipse(settings)
+    if settings.restart is None and settings.arrangement == "none":
+        for vesicle in settings.each_vesicle():
+            if vesicle.marker_file is None:
+                _check_place(settings, vesicle)
 
 
 def check_domain(domain):
@@ -177,33 +209,55 @@ def check_domain(domain):
                          "a,b,c,d with a < b and c < d, each side above 1e-6 of the largest entry")
 
 
-def check_ellipse(settings):
-    """Refuse an ellipse that leaves the box, feels a wall, or is too coarsely marked."""
-    angle, (rx, ry) = np.radians(settings.angle), settings.axes
+def _check_place(settings, vesicle):
+    """Refuse a shape that leaves the box, feels a wall, or is too coarsely marked."""
+    if vesicle.shape == "line":
+        _check_line(settings, vesicle)
+        return
+    angle, (rx, ry) = np.radians(vesicle.angle), vesicle.axes
+    if vesicle.shape == "plate":
+        rx, perimeter = 0.0, 2 * ry
+    else:
+        perimeter = ellipse_perimeter((rx, ry))
     # X = center + R(angle) (rx sin s, ry cos s): the amplitudes of x and y over s.
     half_sizes = np.hypot(
         (rx * np.cos(angle), rx * np.sin(angle)), (ry * np.sin(angle), ry * np.cos(angle))
     )
-    low, high = settings.center - half_sizes, settings.center + half_sizes
-    check_curve(settings, low, high, ellipse_perimeter((rx, ry)), ("center", "axes", "angle"))
+    low, high = vesicle.center - half_sizes, vesicle.center + half_sizes
+    check_curve(settings, vesicle, low, high, perimeter, ("center", "axes", "angle"))
 
 
-def check_curve(settings, low, high, perimeter, names):
-    """Refuse a closed curve that leaves the box, feels a wall, or is too coarsely marked.
+def _check_line(settings, vesicle):
+    names = vesicle.option("shape"), "periodic"
+    if settings.periodic == "none":
+        _refuse(settings, names, "a line goes across a periodic box, and this one has walls",
+                "-periodic x, y or xy, or another shape")
+    a, b, c, d = settings.domain
+    along = settings.line_axis
+    low, high = np.subtract(vesicle.center, abs(vesicle.amplitude)), np.add(
+        vesicle.center, abs(vesicle.amplitude))
+    low[along], high[along] = ((a, b), (c, d))[along]
+    check_curve(settings, vesicle, low, high, high[along] - low[along], ("center", "amplitude"))
+
+
+def check_curve(settings, vesicle, low, high, perimeter, names):
+    """Refuse a curve that leaves the box, feels a wall, or is too coarsely marked.
 
     Parameters
     ----------
     settings : Settings
+    vesicle : Vesicle
     low, high : (float, float)
         Corners of the rectangle that just holds the curve.
     perimeter : float
     names : tuple of str
-        The options that gave the curve.
+        The options that gave the curve, by their common names.
 
     Raises
     ------
     InputError
     """
+    names = tuple(map(vesicle.option, names))
     a, b, c, d = settings.domain
     dx, dy = (b - a) / settings.stag_grid_x, (d - c) / settings.stag_grid_y
     reach = KERNELS[settings.delta].reach
@@ -224,30 +278,32 @@ def check_curve(settings, low, high, perimeter, names):
                     f"({reach * cell:.3g}), the reach of -delta {settings.delta}")
 
     spacing = min(dx, dy)
-    markers = settings.markers or round(perimeter / (0.5 * spacing))
+    markers = vesicle.markers or round(perimeter / (0.5 * spacing))
     fewest = max(FEWEST_MARKERS, int(np.ceil(perimeter / (WIDEST_SPACING * spacing))))
     if markers < fewest:
-        sizes = [name for name in names if name != "center"]
-        names = ("markers",) if settings.markers else (*sizes, "stag_grid_x", "stag_grid_y")
+        sizes = [name for name in names if not name.endswith("center")]
+        names = ((vesicle.option("markers"),) if vesicle.markers
+                 else (*sizes, "stag_grid_x", "stag_grid_y"))
         _refuse(settings, names, f"{markers} markers on a perimeter of {perimeter:.3g}",
                 f"at least {fewest} markers ({FEWEST_MARKERS}, and at most {WIDEST_SPACING:g} "
                 "cells apart)")
 
 
 def _check_choices(settings):
-    if settings.scheme == "ep":
+    scheme = f"scheme {settings.scheme}"
+    if not SCHEMES[settings.scheme].implicit:
         if settings.stretch == "evolve":
-            _refuse(settings, ("stretch", "scheme"), "scheme ep takes its force from the markers",
+            _refuse(settings, ("stretch", "scheme"), f"{scheme} takes its force from the markers",
                     "recompute, or another scheme")
         if settings.startup > 0:
-            _refuse(settings, ("startup", "scheme"), "scheme ep has no start-up steps",
+            _refuse(settings, ("startup", "scheme"), f"{scheme} has no start-up steps",
                     "0, or another scheme")
         if settings.ledger != "none":
-            _refuse(settings, ("ledger", "scheme"), "scheme ep has no energy law",
+            _refuse(settings, ("ledger", "scheme"), f"{scheme} has no energy law",
                     "none, or another scheme")
     if settings.flow == "rest" and settings.shear_rate != 0:
         _refuse(settings, ("shear_rate",), "the flow is rest",
-                "0, or -flow shear, extensional or poiseuille")
+                "0, or another -flow")
     along = sorted(set(VARIES[settings.flow]) & set(settings.periodic))
     if along:
         fit = [flow for flow, varies in VARIES.items() if not set(varies) & set(settings.periodic)]
@@ -256,8 +312,16 @@ def _check_choices(settings):
                 f"-flow {' or '.join(fit)}, or another -periodic")
 
 
-def _check_vesicle(settings, shape_options):
-    if settings.vesicles == 0:
+def _check_vesicles(settings, shape_options):
+    count = settings.vesicles
+    for name in sorted(settings.given):
+        number, base = split(name)
+        if number is not None and number >= count:
+            _refuse(settings, (name,), f"the last of {count} vesicles is number {count - 1}"
+                    if count else "there is no vesicle (vesicles is 0)",
+                    f"-vesicle_0_{base} to -vesicle_{count - 1}_{base}, or more -vesicles"
+                    if count else f"-vesicles 1, or no -{name}")
+    if count == 0:
         for name in shape_options:
             if name in settings.given and getattr(settings, name):
                 _refuse(settings, (name,), "there is no vesicle (vesicles is 0)",
@@ -266,18 +330,65 @@ def _check_vesicle(settings, shape_options):
             _refuse(settings, ("ts_rtol",), "there is no vesicle to tell the error by "
                     "(vesicles is 0)", "-vesicles 1, or no -ts_rtol")
         return
-    if settings.marker_file is not None and settings.axes is not None:
-        _refuse(settings, ("axes",), "-marker_file gives the shape already", "one of the two")
+    _check_arrangement(settings)
+    for vesicle in settings.each_vesicle():
+        _check_vesicle(settings, vesicle)
+
+
+def _check_vesicle(settings, vesicle):
+    given = {name for name in OWN if vesicle.option(name) in settings.given}
+    from_file = vesicle.marker_file is not None
+
+    def refuse(name, *why):
+        _refuse(settings, (vesicle.option(name),), *why)
+
+    if from_file and vesicle.axes is not None:
+        refuse("axes", "-marker_file gives the shape already", "one of the two")
     for name in ("center", "angle"):
-        if settings.marker_file is not None and name in settings.given:
-            _refuse(settings, (name,), "-marker_file gives the place already", "one of the two")
-    if "rest_length" in settings.given and settings.sigma0 == 0:
-        _refuse(settings, ("rest_length",), "has no meaning without tension (sigma0 is 0)",
-                "-sigma0 above 0, or no -rest_length")
+        if from_file and name in given:
+            refuse(name, "-marker_file gives the place already", "one of the two")
+    if vesicle.shape != "ellipse" and from_file:
+        refuse("shape", "-marker_file gives the shape already", "one of the two")
+    if vesicle.shape == "line":
+        for name in ("axes", "angle"):
+            if name in given:
+                refuse(name, "a line goes straight across the box", f"no -{name}")
+    elif "amplitude" in given:
+        refuse("amplitude", "only a line has one", "-shape line, or no -amplitude")
+    if "rest_length" in given and vesicle.sigma0 == 0:
+        refuse("rest_length", "has no meaning without tension (sigma0 is 0)",
+               "-sigma0 above 0, or no -rest_length")
+
+
+def _check_arrangement(settings):
+    arrangement = settings.arrangement
+    if arrangement == "none":
+        for name in ("seed", "area_fraction"):
+            if name in settings.given:
+                _refuse(settings, (name,), "there is no arrangement",
+                        f"-arrangement lattice or random, or no -{name}")
+        return
+    if {"vesicles", "axes", "area_fraction"} <= settings.given:
+        _refuse(settings, ("area_fraction",), "-vesicles and -axes say it already",
+                "two of the three")
+    for vesicle in settings.each_vesicle():
+        if vesicle.shape != "ellipse" or vesicle.marker_file is not None:
+            _refuse(settings, ("arrangement",), "only ellipses are arranged",
+                    "none, or -shape ellipse without -marker_file")
+        if settings.area_fraction is not None and "axes" in vesicle.own:
+            _refuse(settings, ("area_fraction",), "the vesicles have axes of their own",
+                    f"no -{vesicle.option('axes')}, or no -area_fraction")
+        for name in ("center", "angle"):
+            if vesicle.option(name) in settings.given and (
+                    name == "center" or arrangement == "random"):
+                _refuse(settings, (vesicle.option(name),), f"-arrangement {arrangement} gives "
+                        f"the {'places' if name == 'center' else 'angles'} already",
+                        "one of the two")
 
 
 def _check_files(settings):
-    for name in ("restart", "marker_file"):
+    files = {vesicle.option("marker_file") for vesicle in settings.each_vesicle()}
+    for name in ("restart", *sorted(files)):
         path = getattr(settings, name)
         needed = name == "restart" or settings.restart is None  # the saved markers suffice
         if path is not None and needed and not os.path.isfile(path):

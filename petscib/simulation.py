@@ -13,12 +13,13 @@ from petsc4py import PETSc
 from . import accuracy, energy, events, guard, schemes, solver_options
 from .agreement import Agreement, on_rank, on_root
 from .diagnostics import Diagnostics
-from .errors import Crash, InputError, OutputError, SolveError, WallError, ours
+from .errors import Crash, CrossingError, InputError, OutputError, SolveError, WallError, ours
 from .events import phase, stage
 from .interrupt import Interrupt
 from .localerror import LocalError
 from .output import checkpoint
 from .output.checkpoint import Progress
+from .output.monitor import opening_line
 from .output.rescue import Rescue
 from .output.results import TRACEBACK, Results
 from .pressure import ShownPressure
@@ -33,7 +34,8 @@ PATIENCE = 5.0  # seconds that a rank which has failed waits for the others, or 
 
 def _controls(settings):
     return schemes.Controls(
-        settings.startup, settings.picard_rtol, settings.picard_max_it, settings.fft)
+        settings.startup, settings.picard_rtol, settings.picard_max_it, settings.fft,
+        settings.ts_dt)
 
 
 class Simulation:
@@ -64,8 +66,9 @@ class Simulation:
         self.began = self.saved_at = perf_counter()
         self.longest_attempt = 0.0
         self.scheme = self.results = self.shown = None
+        self.first_default = krylov.entered_defaults()
         self.traceback = ""
-        self.writing = False
+        self.writing = self.said_too_long = False
         comm = comm or PETSc.COMM_WORLD
         self.comm = comm.tompi4py()
         self.agreement = Agreement(self.comm)
@@ -81,10 +84,11 @@ class Simulation:
             self._build(self.settings, comm)
         except (InputError, PETSc.Error) as error:
             trouble = ours(error)
-            if isinstance(trouble, Crash):
+            # Python's own errors come in PETSc's clothes since 3.19; they are no bad input.
+            if isinstance(trouble, Crash) and str(trouble).startswith("PETSc error"):
                 trouble = InputError(f"PETSc cannot set this up: {trouble}")
         except BaseException:  # perhaps on this rank alone: nothing collective any more
-            krylov.withdraw_defaults()
+            krylov.withdraw_defaults(self.first_default)
             raise
         agreed = self.agreement.meet([trouble is not None], PATIENCE if trouble else None)
         if agreed is None:
@@ -102,7 +106,8 @@ class Simulation:
             self.problem, self.state = build_problem(settings, comm, header, self.remarks)
             self.warning = ""
             if settings.ts_rtol is None:
-                self.warning = accuracy.of_flow(settings, self.state.markers)
+                self.warning = accuracy.of_flow(
+                    settings, self.state.markers, self.problem.curves)
             on_root(self.comm, lambda: self._check_start(header))
             self._make_scheme()
             self.diagnostics = Diagnostics(self.problem, self.progress.reference or None)
@@ -201,7 +206,10 @@ class Simulation:
         first = self.first_step
         last = self.last_step if self.last_step < math.inf else None
         results.monitor.start(first, self.state.time, settings.ts_max_time, last)
-        for remark in filter(None, [*self.remarks, self.warning]):
+        self.close = guard.near(self.problem, self.state.markers)
+        if settings.monitor != "none":
+            self.remarks.insert(0, opening_line(settings, self.last_step - first))
+        for remark in filter(None, [*self.remarks, self.warning, self.close]):
             results.say(f"petscib: {remark}")
         with stage("stepping"):
             if settings.restart is None:  # else the row of the first state is there already
@@ -243,6 +251,7 @@ class Simulation:
 
     def _advance(self):
         """Take a step, with -ts_adapt or -ts_rtol in as many attempts as it needs.  Collective."""
+        self._heed_advection()
         while True:
             dt = self._next_dt()
             step, error = self._attempt(dt)
@@ -271,12 +280,27 @@ class Simulation:
         self.step_size.accept(*self.missed)
         self.state = step.end
         self._warn_of_long_steps(step)
+        self._warn_of_narrow_gaps()
         if self.keeping:
             self._keep()
         if self._has_row(self.state):
             self._record(step)
         self._write_fields()
         step.discard()
+
+    def _heed_advection(self):
+        """Keep to the limit of explicit advection, or say once that the step is beyond it."""
+        advection = self.problem.advection
+        if advection is None or advection.implicit:
+            return
+        longest = advection.longest_step(self.state.velocity, self.problem.mu)
+        self.step_size.limit(longest)
+        dt = self._next_dt()
+        if dt > longest and not self.said_too_long:
+            self.said_too_long = True
+            self.results.say(
+                f"petscib: explicit advection may be unstable with time steps above {longest:.3g} "
+                f"at this speed, and this one is {dt:.3g}; try -advection implicit or -ts_adapt")
 
     def _attempt(self, dt):
         """The step and None, or None and the error that all ranks agree upon.  Collective."""
@@ -353,7 +377,8 @@ class Simulation:
     def _failure(self, error):
         """What to raise when a step failed for good, after saving the state before it."""
         try:
-            saved = f"the state before it is in {self._save()}"
+            # After a failure no solver is to be trusted.
+            saved = f"the state before it is in {self._save(with_jumps=False)}"
         except OutputError as failure:
             saved = f"the state before it could not be saved ({failure})"
         return self._last_words(error, saved)
@@ -362,6 +387,8 @@ class Simulation:
         advice = self.scheme.advice
         if isinstance(error, WallError):
             advice = "a larger -domain leaves it room"
+        elif isinstance(error, CrossingError):
+            advice = "a finer grid, a smaller -ts_dt or -contact keeps them apart"
         elif isinstance(error, Crash):
             advice = f"{self.results.path(TRACEBACK)} says where"
         elif isinstance(error, InputError):
@@ -374,9 +401,18 @@ class Simulation:
     def _warn_of_long_steps(self, step):
         """Say once when a step has carried the membrane too far; rank 0 has the markers."""
         if not self.warning and self.local_error is None:
-            self.warning = accuracy.of_step(step.start.markers, step.end.markers, step.dt)
+            self.warning = accuracy.of_step(
+                self.settings, step.start.markers, step.end.markers, step.dt,
+                self.problem.curves)
             if self.warning:
                 self.results.say(f"petscib: {self.warning}")
+
+    def _warn_of_narrow_gaps(self):
+        """Say once when two membranes have come too near each other."""
+        if not self.close:
+            self.close = guard.near(self.problem, self.state.markers)
+            if self.close:
+                self.results.say(f"petscib: {self.close}")
 
     def _abandon(self, trouble):
         """End the job: the others wait for what this rank cannot do any more.  Not collective."""
@@ -415,11 +451,21 @@ class Simulation:
         ):
             self._save()
 
-    def _save(self, name=None):
-        """Write a checkpoint.  Returns its path."""
+    def _save(self, name=None, with_jumps=True):
+        """Write a checkpoint, as a rule with the pressure's jumps.  Returns its path."""
         self.saved_at = perf_counter()
-        self.saved_in = self._output(
-            lambda: self.results.save(self.shown.state(self.state), self._reached(), name))
+
+        def write():
+            state = self.shown.state(self.state) if with_jumps else self.state
+            return self.results.save(state, self._reached(), name)
+
+        self.saved_in = self._output(write)
+        if self.shown.trouble:
+            self.results.say(
+                f"petscib: the pressure in {self.saved_in} is without its jumps across the "
+                f"membranes: {self.shown.trouble}")
+        if self.scheme is not None:
+            self.scheme.forget()
         return self.saved_in
 
     def _save_at_once(self):
@@ -473,4 +519,4 @@ class Simulation:
         if self.agreement is not None:
             self.agreement.destroy()
             self.agreement = None
-        krylov.withdraw_defaults()
+        krylov.withdraw_defaults(self.first_default)

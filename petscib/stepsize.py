@@ -85,6 +85,11 @@ class StepSize:
         self.dt, self.good_steps = aim, 0
         return True
 
+    def limit(self, longest):
+        """Heed a time step beyond which the next step would fail."""
+        while self.adapt and self.dt > longest and self.dt / 2 >= self.smallest:
+            self.dt, self.good_steps = self.dt / 2, 0
+
     def accept(self, error=None, order=1):
         """Take note of a good step, and of its local error where there is a tolerance."""
         self.good_steps += 1

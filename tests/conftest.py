@@ -67,6 +67,7 @@ NOISE = re.compile("|".join((
     r"^(?:\[\S+\] )?\d+ more process.* sent help message .*\n",
     r"^\[\S+:\d+\] PMIX ERROR: .*\n",  # of a launcher whose ranks end while it stops them
     r"^(?:\[\S+\] )?Set .*(?:AGGREGATE_HELP|help_aggregate).*\n",
+    r"^\0+\n?",  # Open MPI 5 after a rank has aborted the job
     r"^=+\n= +BAD TERMINATION .*\n(?:=.*\n)+(?:YOUR APPLICATION .*\n)?(?:(?:This|Please) .*\n)*",
 )), re.M)
 

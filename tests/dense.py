@@ -194,6 +194,96 @@ def surface_divergence(tangent, ds):
     return (table[:, :, None] * tangent[:, None, :]).reshape(len(tangent), -1)
 
 
+# C at 0 and at 45 degrees to the grid: the table of the kink correction, with all digits.
+KINK = {"yang": (0.82738223049387, 0.85329142893208), "bspline43": (7 / 15, 0.56657941932623)}
+
+
+def slip(grid, mu, markers, ds, constants):
+    """The kink correction K (2M x 2M) of a closed curve, for forces per ds.
+
+    At each marker C(m) h_n / (2 mu |X_s|) t t^T, with t along the chord.
+    """
+    straight, diagonal = constants
+    count = len(markers)
+    table = np.zeros((2 * count, 2 * count))
+    for k in range(count):
+        chord = markers[(k + 1) % count] - markers[k - 1]
+        t = chord / np.hypot(*chord)
+        stretching = np.hypot(*chord) / (2 * ds)
+        across = -t[1] * grid.dx, t[0] * grid.dy
+        h = np.hypot(*across)
+        m = np.array(across) / h
+        thickness = straight + 4 * (diagonal - straight) * m[0] ** 2 * m[1] ** 2
+        table[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = (
+            thickness * h / (2 * mu * stretching) * np.outer(t, t))
+    return table
+
+
+def area(markers):
+    """Signed area of a closed polygon."""
+    return sum(markers[k - 1, 0] * markers[k, 1] - markers[k, 0] * markers[k - 1, 1]
+               for k in range(len(markers))) / 2
+
+
+def area_gradient(markers, ds):
+    """N (2M): (ds / 2) times D_s X_k + D_s X_{k+1}, turned."""
+    slopes = to_half_points(len(markers), ds) @ markers
+    both = slopes + np.roll(slopes, -1, axis=0)
+    return ds / 2 * np.stack((both[:, 1], -both[:, 0]), axis=1).ravel()
+
+
+def projector(markers, ds):
+    """Pi (2M x 2M) of a closed curve."""
+    normal = area_gradient(markers, ds)
+    return np.eye(len(normal)) - np.outer(normal, normal) / (normal @ normal)
+
+
+def stage(grid, friction, mu, load, walls, carry, slip, stiffness, force, coupled):
+    """The stage of an implicit scheme, fluid and forces on the markers in one dense system.
+
+        friction w - mu Laplacian w (+ grad p) = load + carry^T f / (dx dy),   (div w = 0,)
+        f + stiffness U = force,   U = carry w + slip f
+
+    Parameters
+    ----------
+    load, walls : ndarray
+        Over all faces, and the velocities of those on walls.
+    carry : ndarray, shape (2M, N)
+        Pi J.
+    slip, stiffness : ndarray, shape (2M, 2M)
+        K, and theta dt W, for forces on the markers (not per ds).
+    force : ndarray, shape (2M,)
+        At the start.
+
+    Returns
+    -------
+    w, p, f
+        In natural order; p of zero mean, without entries unless coupled.
+    """
+    inner = inner_faces(grid)
+    fluid = friction * np.eye(len(load)) - mu * laplacian(grid)
+    spread, div = carry.T / (grid.dx * grid.dy), divergence(grid)
+    scale = 1 + np.abs(stiffness).sum(axis=1)
+    response = (np.eye(len(force)) + stiffness @ slip) / scale[:, None]
+    carried = stiffness @ carry / scale[:, None]
+    rows = [[fluid[np.ix_(inner, inner)], -spread[inner]], [carried[:, inner], response]]
+    rhs = [load[inner], force / scale - carried[:, ~inner] @ walls]
+    cells = len(div) if coupled else 0
+    if coupled:
+        ones, zeros = np.ones((cells, 1)), np.zeros  # with a multiplier for the mean of p
+        velocities, forces = inner.sum(), len(force)
+        rows = [[rows[0][0], gradient(grid)[inner], rows[0][1], zeros((velocities, 1))],
+                [div[:, inner], zeros((cells, cells + forces)), ones],
+                [rows[1][0], zeros((forces, cells)), response, zeros((forces, 1))],
+                [zeros((1, velocities)), ones.T, zeros((1, forces + 1))]]
+        rhs = [rhs[0], -div[:, ~inner] @ walls, rhs[1], [0.0]]
+    answer = np.linalg.solve(np.vstack([np.hstack(row) for row in rows]), np.concatenate(rhs))
+    velocity = np.empty(len(load))
+    velocity[inner], velocity[~inner] = answer[: inner.sum()], walls
+    rest = answer[inner.sum() :]
+    return velocity, rest[:cells], rest[cells : cells + len(force)]
+
+
 # ---------------------------------------------------------------- problems and options
 
 

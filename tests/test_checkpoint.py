@@ -65,7 +65,7 @@ def test_layout_and_natural_order(tmp_path):
     assert found["vesicle_0/stretch"].shape == found["vesicle_0/rest_stretch"].shape == (count,)
     assert {values.dtype for values in found.values()} == {np.dtype("f8")}
     with h5py.File(path, "r") as file:
-        assert file.attrs["format_version"] == 1 and file.attrs["scheme"] == "mbe"
+        assert file.attrs["format_version"] == 2 and file.attrs["scheme"] == "gcn"
         assert json.loads(file.attrs["options"])["stag_grid_y"] == 30
         assert file["fluid/u"].attrs["location"] == "x-faces"
         assert file["fluid/u"].attrs["unit"] == "length/time"
@@ -163,7 +163,7 @@ DAMAGES = {
     "half": (cut(0.5), "truncated file"),
     "last byte": (cut(0.99999), "truncated file"),
     "foreign": (foreign, "not a checkpoint of petscib"),
-    "newer": (set_attribute("format_version", 2), "format version is 2; allowed: 1"),
+    "newer": (set_attribute("format_version", 3), "format version is 3; allowed: 1 or 2"),
     "no step": (edit(lambda file: file.attrs.__delitem__("step")), "lacks the attribute step"),
     "no options": (edit(lambda file: file.attrs.__delitem__("options")), "the attribute options"),
     "time is nan": (set_attribute("time", np.nan), "not every number"),

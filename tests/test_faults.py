@@ -3,6 +3,7 @@ import errno
 import os
 import signal
 import subprocess
+import sys
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -14,12 +15,14 @@ from conftest import mpi_environment, start, stop
 from petsc4py import PETSc
 from runs import SMALL, arrays, assert_same_run, prepare, rows, run
 
-from petscib import guard, schemes
+from petscib import guard, options, schemes
 from petscib.errors import Crash, InputError, SolveError, WallError, ours
 from petscib.output import checkpoint, lock
+from petscib.simulation import Simulation
 from petscib.solvers import krylov
 
-OPTIONS = [word for name, text in SMALL.items() for word in (f"-{name}", text)]
+OPTIONS = ["-scheme", "mbe"] + [
+    word for name, text in SMALL.items() for word in (f"-{name}", text)]
 # Starts petscib with something broken: the production code has no hook for tests.
 DRIVER = """
 import sys
@@ -350,6 +353,8 @@ def test_a_rescued_state_is_the_saved_one(petscib, tmp_path):
     one_line(petscib(*words, "-output", "rescued", broken=broken, ranks=3), 3)
     first, second = (arrays(tmp_path / name / "checkpoint-00000003.h5")
                      for name in ("whole", "rescued"))
+    # One rank alone cannot solve for the pressure's jumps.
+    first["fluid/p"] = first.pop("history/bare_pressure/p")
     assert first.keys() == second.keys() and any("history" in name for name in first)
     for name, values in first.items():
         np.testing.assert_array_equal(second[name], values, err_msg=name)
@@ -396,7 +401,8 @@ def test_a_preconditioner_that_cannot_be_made_is_no_bad_input(petscib, tmp_path)
     (tmp_path / "preconditioners.py").write_text(PRECONDITIONERS)
     result = petscib(*OPTIONS, "-output", "run", "-poisson_pc_type", "python",
                      "-poisson_pc_python_type", "preconditioners.Unmade")
-    assert result.returncode == 1 and "has no attribute 'nothing'" in result.stderr
+    # A traceback up to PETSc 3.18, which hands Python's errors through as they are; then one line.
+    assert result.returncode in (1, 3) and "has no attribute 'nothing'" in result.stderr
 
 
 class PetscError(RuntimeError):
@@ -440,8 +446,8 @@ def test_a_solve_that_failed_within_another_can_be_tried_again(petscib, tmp_path
 # --- the walls
 
 def test_a_vesicle_that_is_carried_to_the_outlet(petscib, tmp_path):
-    words = ["-scene", "poiseuille", "-stag_grid_x", 64, "-ts_dt", 0.25, "-ts_max_time", 20,
-             "-fft", "-plot", "no", "-monitor", "none", "-output", "run"]
+    words = ["-scene", "poiseuille", "-scheme", "gcn", "-stag_grid_x", 64, "-ts_dt", 0.25,
+             "-ts_max_time", 20, "-fft", "-plot", "no", "-monitor", "none", "-output", "run"]
     line = one_line(petscib(*words), 3)
     assert "the vesicle has come to the wall x = 3, where the box ends: marker " in line
     assert "a larger -domain" in line and "-ts_dt" not in line
@@ -451,10 +457,12 @@ def test_a_guess_beyond_the_walls_is_a_failed_step(petscib, tmp_path):
     words = ["-stag_grid_x", 24, "-axes", "0.2,0.3", "-scheme", "gcn", "-flow", "extensional",
              "-shear_rate", 20, "-center", "0.2,0", "-ts_dt", 0.06, "-ts_max_time", 1,
              "-plot", "no", "-monitor", "none", "-output", "run"]
-    assert " from time 0 failed: " in one_line(petscib(*words), 3)
+    warning, line = petscib(*words).stderr.splitlines()
+    assert "-ts_dt 0.025 is advised" in warning and " from time 0 failed: " in line
     result = petscib(*words, "-ts_adapt")
-    *attempts, line = result.stderr.splitlines()
-    assert result.returncode == 3 and all("; trying " in one for one in attempts[1:])
+    _, *attempts, line = result.stderr.splitlines()
+    attempts = [one for one in attempts if "failed" in one]  # beside remarks on a near wall
+    assert result.returncode == 3 and attempts and all("; trying " in one for one in attempts)
     assert "is in run/checkpoint-" in line and "from time 0.0" in line
 
 
@@ -527,8 +535,9 @@ def test_a_scheme_that_cannot_be_built_leaves_no_options(tmp_path, monkeypatch):
 def test_a_folder_in_use_is_refused(tmp_path):
     first = prepare(tmp_path / "run", ts_max_steps="2")
     before = (tmp_path / "run" / "diagnostics.csv").read_bytes()
+    given = {**SMALL, "output": str(tmp_path / "run")}
     with pytest.raises(InputError) as caught:
-        prepare(tmp_path / "run")
+        Simulation(options.read(given))
     assert str(caught.value).startswith(f"{tmp_path}/run: in use by process {os.getpid()} on ")
     assert (tmp_path / "run" / "diagnostics.csv").read_bytes() == before
     first.run()

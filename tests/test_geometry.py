@@ -1,5 +1,4 @@
 """Shapes, differences along curves, and what is measured of polygons."""
-import dense
 import numpy as np
 import pytest
 from hypothesis import given
@@ -55,31 +54,6 @@ def test_ellipse_with_even_count_is_point_symmetric():
 
 
 # ---------------------------------------------------------------- differences
-
-
-def test_differences_against_matrices():
-    count, ds = 9, 0.37
-    random = np.random.default_rng(1)
-    at_markers, at_half = random.standard_normal((2, count, 2))
-    table = dense.to_half_points(count, ds)
-    assert np.allclose(geometry.to_half_points(at_markers, ds), table @ at_markers)
-    assert np.allclose(geometry.to_markers(at_half, ds), -table.T @ at_half)
-    second = geometry.second_difference(geometry.second_difference(at_markers, ds), ds)
-    assert np.allclose(second.ravel(), dense.fourth_difference(count, ds) @ at_markers.ravel())
-    tangent = geometry.unit_tangent(at_markers, ds)
-    assert np.allclose(geometry.length(tangent), 1)
-    assert np.allclose(geometry.stretching(at_markers, ds)[:, None] * tangent,
-                       table @ at_markers)
-    assert np.allclose(geometry.surface_divergence(at_half, tangent, ds),
-                       dense.surface_divergence(tangent, ds) @ at_half.ravel())
-
-
-def test_functions_of_no_markers():
-    nothing = np.zeros((0, 2))
-    assert geometry.unit_tangent(nothing, 0.1).shape == (0, 2)
-    assert geometry.stretching(nothing, 0.1).shape == (0,)
-    assert geometry.surface_divergence(nothing, nothing, 0.1).shape == (0,)
-    assert geometry.second_difference(nothing, 0.1).shape == (0, 2)
 
 
 # ---------------------------------------------------------------- measures

@@ -48,11 +48,11 @@ def test_what_does_not_fit_is_refused(mpirun, tmp_path, case):
 
 def test_options_that_nothing_has_read_are_not_listed_by_petsc(mpirun):
     words = ["-m", "petscib", "-output", "run", "-stag_grid_x", 24, "-axes", "0.25,0.4",
-             "-ts_max_steps", 1, "-monitor", "none", "-plot", "no", "-coupled_ksp_rtol", 0.1]
+             "-ts_max_steps", 1, "-monitor", "none", "-plot", "no", "-poisson_ksp_rtol", 0.1]
     result = mpirun(1, *words)
-    assert result.stderr == "petscib: no solver has read -coupled_ksp_rtol\n"
-    assert "left" not in result.stdout and "coupled_ksp_rtol" not in result.stdout
-    assert "coupled_ksp_rtol" in mpirun(1, *words, "-options_left").stdout  # if asked for
+    assert result.stderr == "petscib: no solver has read -poisson_ksp_rtol\n"
+    assert "left" not in result.stdout and "poisson_ksp_rtol" not in result.stdout
+    assert "poisson_ksp_rtol" in mpirun(1, *words, "-options_left").stdout  # if asked for
 
 
 # --- .ci/setup

@@ -33,8 +33,9 @@ def read(folder):
 @pytest.mark.parametrize("scheme, paper, prototype", [
     ("mbe", (1.470e-3, 7.444e-3), (2.61e-5, 7.83e-4)),
     ("mcn", (2.688e-3, 6.899e-3), (2.67e-5, 2.66e-4))])
-def test_relaxation(petscib, tmp_path, scheme, paper, prototype):
-    petscib(1, "-scene", "relaxation", "-scheme", scheme, "-stag_grid_x", 64)
+def test_relaxation_by_the_papers_method(petscib, tmp_path, scheme, paper, prototype):
+    petscib(1, "-scene", "relaxation", "-scheme", scheme, "-delta", "yang", "-kink_correction",
+            "false", "-conserve_area", "false", "-stag_grid_x", 64)
     table = read(tmp_path / "out/relaxation")
     assert table["time"][-1] == pytest.approx(0.125) and len(table["step"]) == 17
     errors = table["area_error"][-1], table["perimeter_error"][-1]
@@ -43,13 +44,16 @@ def test_relaxation(petscib, tmp_path, scheme, paper, prototype):
 
 
 @pytest.mark.parametrize("sigma0", ["1e5", "1e9"])
-def test_stiff_vesicle_at_a_long_time_step(petscib, tmp_path, sigma0):
-    petscib(1, "-scene", "stiff", "-sigma0", sigma0, "-stag_grid_x", 64)
+@pytest.mark.parametrize("scheme, largest", [("mbe", 8e-3), ("gcn", 1e-8)])
+def test_stiff_vesicle_at_a_long_time_step(petscib, tmp_path, scheme, largest, sigma0):
+    petscib(1, "-scene", "stiff", "-sigma0", sigma0, "-scheme", scheme, "-ts_dt", 2 / 64, "-fft")
     table = read(tmp_path / "out/stiff")
     assert len(table["step"]) == 33 and table["time"][-1] == pytest.approx(1)
-    assert table["area_error"].max() <= 8e-4
-    assert table["perimeter_error"].max() <= 1.65e-2
-    assert np.nanmax(table["momentum_iterations"]) <= 12
+    assert table["area_error"].max() <= 1e-9
+    # What the tension itself stretches is left to the weaker membrane.
+    assert table["perimeter_error"].max() <= largest + (1e-4 if sigma0 == "1e5" else 0.0)
+    if scheme == "mbe":
+        assert np.nanmax(table["momentum_iterations"]) <= 12
 
 
 def test_explicit_scheme_fails_at_a_long_time_step(petscib, tmp_path):
@@ -70,7 +74,8 @@ def test_same_answer_on_any_number_of_ranks(petscib, tmp_path):
     for ranks in (1, 2, 3):
         folder = tmp_path / str(ranks)
         petscib(ranks, "-stag_grid_x", 65, "-stag_grid_y", 50, "-ts_dt", 2 / 65, "-ts_max_steps", 5,
-                "-output", folder, "-momentum_ksp_rtol", 1e-11, "-poisson_ksp_rtol", 1e-11)
+                "-scheme", "mbe", "-output", folder, "-momentum_ksp_rtol", 1e-11,
+                "-poisson_ksp_rtol", 1e-11)
         with h5py.File(folder / "final.h5") as file:
             names = ("fluid/u", "fluid/v", "fluid/p", "vesicle_0/X", "vesicle_0/stretch",
                      "vesicle_0/rest_stretch")
@@ -123,8 +128,17 @@ def check_files(folder, ranks):
 
 
 def test_a_failed_solve_ends_the_run_with_its_reason(petscib):
-    result = petscib(3, "-stag_grid_x", 32, "-poisson_ksp_max_it", 1, "-poisson_ksp_rtol", 1e-13,
-                     check=False)
+    result = petscib(3, "-scheme", "mbe", "-stag_grid_x", 32, "-poisson_ksp_max_it", 1,
+                     "-poisson_ksp_rtol", 1e-13, check=False)
     assert result.returncode == 3
     assert result.stderr.startswith("petscib: step 1 from time 0 failed: pressure Poisson solve")
     assert "DIVERGED" in result.stderr and result.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("options", [
+    ("-scene", "tanktreading", "-ts_dt", "0.011", "-ts_max_time", "0.0551"),
+    ("-scene", "poiseuille", "-stag_grid_x", 64, "-ts_dt", "0.0625", "-ts_max_time", "0.13")])
+@pytest.mark.parametrize("scheme", ["mbe", "gcn"])
+def test_a_last_step_that_is_much_shorter(petscib, options, scheme):
+    """Multigrid made for another time step would no longer precondition."""
+    petscib(1, *options, "-scheme", scheme)

@@ -15,10 +15,6 @@ PROJECTION = ("ep", "mbe", "mcn")  # the others solve for velocity and pressure 
 TIGHT = {f"{solver}_ksp_rtol": 1e-13 for solver in ("momentum", "poisson", "coupled")}
 
 
-# C at 0 and at 45 degrees to the grid: the kink correction's table, with all digits.
-KINK = {"yang": (0.82738223049387, 0.85329142893208), "bspline43": (7 / 15, 0.56657941932623)}
-
-
 def small_problem(stretch, kink=False, area=False, kernel="yang"):
     """Ellipse in extensional flow on 12 x 10 cells; the fluid is disturbed without divergence."""
     problem, state = dense.problem(
@@ -41,7 +37,8 @@ class PaperStep:
     """
 
     def __init__(self, problem, state):
-        self.grid, self.kernel, self.ds = problem.grid, problem.kernel, problem.membranes.curves.ds[0]
+        self.grid, self.kernel = problem.grid, problem.kernel
+        self.ds = problem.membranes.curves.ds[0]
         self.evolve = problem.evolve
         self.velocity = dense.velocity(self.grid, state.velocity)
         comm = self.grid.comm.tompi4py()
@@ -178,105 +175,45 @@ class PaperStep:
 class CorrectedStep(PaperStep):
     """One step of an implicit scheme with kink correction and area projector (or without either).
 
-    For each stage, one dense matrix of the fluid's equations and those of the forces F on the
-    markers (per ds), with nothing eliminated.
+    Nothing is eliminated from the equations.  `constants` is None without kink correction.
     """
 
     def __init__(self, problem, state, constants, area):
         super().__init__(problem, state)
-        self.constants, self.corrected = constants, area
-        self.first_area = self.area(self.markers)
-
-    @staticmethod
-    def area(markers):
-        return sum(markers[k - 1, 0] * markers[k, 1] - markers[k, 0] * markers[k - 1, 1]
-                   for k in range(len(markers))) / 2
-
-    def slip(self, markers):
-        """K (2M x 2M): C(m) h_n / (2 mu |X_s|) t t^T at each marker."""
-        count = len(markers)
-        table = np.zeros((2 * count, 2 * count))
-        if self.constants is None:
-            return table
-        straight, diagonal = self.constants
-        for k in range(count):
-            chord = markers[(k + 1) % count] - markers[k - 1]
-            t = chord / np.hypot(*chord)
-            stretching = np.hypot(*chord) / (2 * self.ds)
-            across = -t[1] * self.grid.dx, t[0] * self.grid.dy
-            h = np.hypot(*across)
-            m = np.array(across) / h
-            thickness = straight + 4 * (diagonal - straight) * m[0] ** 2 * m[1] ** 2
-            table[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = (
-                thickness * h / (2 * MU * stretching) * np.outer(t, t))
-        return table
-
-    def normal(self, markers):
-        """N, the gradient of the area: (ds / 2) times D_s X_k + D_s X_{k+1}, turned."""
-        slopes = self.edges(markers) / self.ds
-        both = slopes + np.roll(slopes, -1, axis=0)
-        return self.ds / 2 * np.stack((both[:, 1], -both[:, 0]), axis=1).ravel()
-
-    def projector(self, markers):
-        """Pi (2M x 2M)."""
-        normal = self.normal(markers)
-        table = np.eye(len(normal))
-        return table - np.outer(normal, normal) / (normal @ normal) if self.corrected else table
+        self.constants, self.conserve_area = constants, area
+        self.first_area = dense.area(self.markers)
 
     def stage(self, theta, guess, coupled):
         """w, p, Pi J, K F and T, for a tangent between X^n and `guess`; for X^n, at X^n."""
-        grid, inner, step = self.grid, self.inner, theta * DT
+        grid, ds, step = self.grid, self.ds, theta * DT
         ahead, behind = self.edges(guess), self.edges(self.markers)
         lengths = np.hypot(*ahead.T) + np.hypot(*behind.T)
-        rate = dense.surface_divergence((ahead + behind) / lengths[:, None], self.ds)
+        rate = dense.surface_divergence((ahead + behind) / lengths[:, None], ds)
         middle = (guess + self.markers) / 2
-        place = middle if theta < 1 else self.markers
-        carry = dense.interpolation(grid, self.kernel, place)
-        slip, projector = self.slip(middle), self.projector(middle)
-        bending = BENDING * dense.fourth_difference(len(guess), self.ds)
-        stiffness = SIGMA0 * rate.T @ rate + bending  # W
+        carry = dense.interpolation(grid, self.kernel, middle if theta < 1 else self.markers)
+        if self.conserve_area:
+            carry = dense.projector(middle, ds) @ carry
+        slip = np.zeros((2 * len(guess), 2 * len(guess)))
+        if self.constants:
+            slip = dense.slip(grid, MU, middle, ds, self.constants)
+        bending = BENDING * dense.fourth_difference(len(guess), ds)
         force = -rate.T @ (SIGMA0 * (self.stretch - self.rest)) - bending @ self.markers.ravel()
-
-        fluid = RHO / step * np.eye(len(self.velocity)) - MU * dense.laplacian(grid)
-        spread = self.ds / (grid.dx * grid.dy) * carry.T @ projector
-        carried = step * stiffness @ projector @ carry
-        load = RHO / step * self.velocity + MU * self.from_walls()
-        walls = self.velocity[~inner]
-        velocities, cells, forces = inner.sum(), len(self.divergence), len(force)
-        nothing = np.zeros
-        if coupled:
-            ones = np.ones((cells, 1))  # with a multiplier for the mean of the pressure
-            matrix = np.block([
-                [fluid[np.ix_(inner, inner)], self.gradient[inner], -spread[inner],
-                 nothing((velocities, 1))],
-                [self.divergence[:, inner], nothing((cells, cells)), nothing((cells, forces)), ones],
-                [carried[:, inner], nothing((forces, cells)),
-                 np.eye(forces) + step * stiffness @ slip, nothing((forces, 1))],
-                [nothing((1, velocities)), ones.T, nothing((1, forces)), nothing((1, 1))]])
-            middle_rows = [-self.divergence[:, ~inner] @ walls], [[0.0]]
-        else:
-            matrix = np.block([
-                [fluid[np.ix_(inner, inner)], -spread[inner]],
-                [carried[:, inner], np.eye(forces) + step * stiffness @ slip]])
-            middle_rows, cells = ([], []), 0
-        answer = np.linalg.solve(matrix, np.concatenate([
-            load[inner] - fluid[np.ix_(inner, ~inner)] @ walls, *middle_rows[0],
-            force - carried[:, ~inner] @ walls, *middle_rows[1]]))
-        w = self.velocity.copy()
-        w[inner] = answer[:velocities]
-        pressure = answer[velocities : velocities + cells]
-        force = answer[velocities + cells : velocities + cells + forces]
-        return w, pressure, projector @ carry, slip @ force, rate
+        stiffness = SIGMA0 * rate.T @ rate + bending
+        w, pressure, force = dense.stage(
+            grid, RHO / step, MU, RHO / step * self.velocity + MU * self.from_walls(),
+            self.velocity[~self.inner], carry, slip / ds, step * ds * stiffness, ds * force,
+            coupled)
+        return w, pressure, carry, slip @ force / ds, rate
 
     def shifted(self, markers):
         """Markers at the area of the start, moved along their N by Newton's method."""
-        if not self.corrected:
+        if not self.conserve_area:
             return markers
-        normal, shift = self.normal(markers).reshape(-1, 2), 0.0
+        normal, shift = dense.area_gradient(markers, self.ds).reshape(-1, 2), 0.0
         for _ in range(4):
             moved = markers + shift * normal
-            slope = self.normal(moved) @ normal.ravel()
-            shift += (self.first_area - self.area(moved)) / slope
+            slope = dense.area_gradient(moved, self.ds) @ normal.ravel()
+            shift += (self.first_area - dense.area(moved)) / slope
         return markers + shift * normal
 
     def advance(self, scheme):
@@ -341,7 +278,7 @@ def test_steps_are_those_of_the_paper(scheme, stretch):
 @cache
 def corrected_steps(scheme, kernel, kink, area, stretch):
     problem, state = small_problem(stretch, kink, area, kernel)
-    stepper = CorrectedStep(problem, state, KINK[kernel] if kink else None, area)
+    stepper = CorrectedStep(problem, state, dense.KINK[kernel] if kink else None, area)
     return two_steps(stepper, lambda: stepper.advance(scheme))
 
 
@@ -360,7 +297,7 @@ def check_corrected(scheme, kernel, kink, area, way, stretch="recompute"):
                  controls, **ITERATIONS[way])
 
 
-@pytest.mark.parametrize("kernel", KINK)
+@pytest.mark.parametrize("kernel", dense.KINK)
 @pytest.mark.parametrize("scheme, way", WAYS)
 def test_corrected_steps(scheme, way, kernel):
     check_corrected(scheme, kernel, True, True, way)
@@ -491,7 +428,8 @@ def test_gcn_is_second_order_in_time():
     """
     order_x, order_u = observed_orders(
         "gcn", (20, 40, 80, 160), 0.5, Controls(startup=1, picard_rtol=1e-11, fft=True),
-        stag_grid_x=24, axes="0.15,0.5", sigma0=1e5, flow="shear", shear_rate=2)
+        stag_grid_x=24, axes="0.15,0.5", sigma0=1e5, flow="shear", shear_rate=2,
+        delta="yang")
     assert order_x >= 1.8 and order_u >= 1.8
 
 

@@ -17,6 +17,7 @@ from petscib.studies import (
     runs,
     stability,
     tanktreading,
+    vesicles,
     workprecision,
 )
 from petscib.studies.__main__ import STUDIES
@@ -358,3 +359,13 @@ def test_stability(campaign):
     assert good["ledger_residual"] < 1e-6 and good["steps"] == 3
     lost = [row for row in table(one) if row["verdict"] == stability.LOST]
     assert all(row["reason"] for row in lost) and os.path.exists(one.path("runs.csv"))
+
+
+def test_vesicles(campaign):
+    study = campaign("vesicles")
+    rows = vesicles.study(study, 64, (1, 4), schemes=("mbe",))
+    assert_results(study)
+    (scheme, one, markers, seconds, ratio, iterations, passes, gap), four = rows
+    assert (scheme, one, ratio, passes) == ("mbe", 1, 1.0, None)
+    assert four[1] == 4 and four[2] == 4 * markers and four[3] > 0 and four[5] > 0
+    assert four[4] == four[3] / seconds and 0 < four[7] < gap

@@ -24,7 +24,8 @@ TANK = dict(domain=(-1.0, 1.0, -1.0, 1.0), axes=(0.25, 0.5), center=(0.0, 0.0), 
             sigma0=1e5, bending=0.01, ts_max_time=0.3, stag_grid_x=24, angle=20.0, fft=True)
 CASES = {
     "flow, mbe": dict(TANK, scene="tanktreading", scheme="mbe", shear_rate=1.0),
-    "flow, gcn": dict(TANK, scene="tanktreading", scheme="gcn", shear_rate=1.0),
+    "flow, gcn": dict(TANK, scene="tanktreading", scheme="gcn", shear_rate=1.0,
+                      ts_max_time=1.2),
     "rest, mbe, GAMG": dict(TANK, scene="stiff", scheme="mbe", fft=False),
     "elastic, be": dict(TANK, scene="elastic", scheme="be", sigma0=10.0, bending=0.0,
                         rest_length=0.5),
@@ -54,7 +55,13 @@ def test_runs_agree_in_all_units(tmp_path, name, monkeypatch):
     found = {}
     for system, units in {"own": (1.0, 1.0, 1.0), **SYSTEMS}.items():
         folder = tmp_path / system.replace(" ", "_").replace(",", "")
-        runs.run(folder, **in_units(CASES[name], units))
+        simulation = runs.prepare(folder, **in_units(CASES[name], units))
+        if not CASES[name]["fft"]:  # an iteration more or less must not show
+            scheme = simulation.scheme
+            for ksp in scheme.system._iteration.ksp, scheme.projection.poisson.ksp:
+                ksp.setTolerances(rtol=1e-13)
+        simulation.run()
+        simulation.destroy()
         length, time, mass = units
         arrays = runs.arrays(folder / "final.h5")
         rows = tables.read(folder / "diagnostics.csv")

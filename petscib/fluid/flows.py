@@ -24,6 +24,22 @@ def poiseuille(x, y, shear_rate, domain):
     return shear_rate * (y - c) * (d - y) / (d - c) + 0 * x, np.zeros_like(x + y)
 
 
-FLOWS = {flow.__name__: flow for flow in (rest, shear, extensional, poiseuille)}
-# Directions in which they vary: there the box cannot be periodic.
-VARIES = {"rest": "", "shear": "y", "extensional": "xy", "poiseuille": "y"}
+def cavity(x, y, shear_rate, domain):
+    """Fluid at rest under a lid that slides along x, at gamma times the box's height."""
+    _, _, c, d = domain
+    return np.where(y < d, 0.0, shear_rate * (d - c)) + 0 * x, np.zeros_like(x + y)
+
+
+def taylor_green(x, y, shear_rate, domain):
+    """Vortices that fill the box, one period of it each way, of the strain rate gamma."""
+    a, b, c, d = domain
+    k_x, k_y = 2 * np.pi / (b - a), 2 * np.pi / (d - c)
+    x, y = k_x * (x - a), k_y * (y - c)
+    return shear_rate / k_x * np.sin(x) * np.cos(y), -shear_rate / k_y * np.cos(x) * np.sin(y)
+
+
+FLOWS = {flow.__name__.replace("_", "-"): flow
+         for flow in (rest, shear, extensional, poiseuille, cavity, taylor_green)}
+# Directions in which they vary, and not with the box: there it cannot be periodic.
+VARIES = {"rest": "", "shear": "y", "extensional": "xy", "poiseuille": "y", "cavity": "y",
+          "taylor-green": ""}

@@ -29,15 +29,15 @@ def find_crossing(points):
     for one, other in _overlapping(np.minimum(points, ends), np.maximum(points, ends)):
         distant = (other - one > 1) & ((one > 0) | (other < last))
         one, other = one[distant], other[distant]
-        meet = _meet(points[one], ends[one], points[other], ends[other])
-        if meet.any():
-            one, other = one[meet], other[meet]
+        crossing = meet(points[one], ends[one], points[other], ends[other])
+        if crossing.any():
+            one, other = one[crossing], other[crossing]
             first = np.lexsort((other, one))[0]
             return int(one[first]), int(other[first])
     return None
 
 
-def _meet(a, b, c, d):
+def meet(a, b, c, d):
     """Whether the edges a-b and c-d, whose boxes overlap, have a point in common."""
     return (_side(a, b, c) * _side(a, b, d) <= 0) & (_side(c, d, a) * _side(c, d, b) <= 0)
 

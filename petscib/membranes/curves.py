@@ -18,6 +18,9 @@ class Curves:
         Parameter step ds of each curve.
     closed : sequence of bool, optional
         Whether the last marker of each is joined to its first; by default all are.
+    periods : sequence of (float, float), optional
+        For a closed curve across a periodic box, how far its first marker is found again beyond
+        its last: positions are unwrapped.  By default none, the curve encloses an area.
 
     Attributes
     ----------
@@ -37,11 +40,21 @@ class Curves:
         Neighbours of each marker, or itself at an open end.
     closed : ndarray of bool, shape (M,)
         Whether each marker belongs to a closed curve.
+    encloses : ndarray of bool, shape (V,)
+        Whether each curve encloses an area.
+    periods : ndarray, shape (V, 2)
+    ahead, behind : ndarray, shape (M, 2)
+        What the positions of the markers `after` and `before` lack: zero but at the joint of a
+        curve across a periodic box.
     """
 
-    def __init__(self, counts, spacings, closed=None):
+    def __init__(self, counts, spacings, closed=None, periods=None):
         counts = np.asarray(counts, dtype=int)
         shut = np.ones(len(counts), bool) if closed is None else np.asarray(closed, bool)
+        self.periods = np.zeros((len(counts), 2))
+        if periods is not None:
+            self.periods += np.reshape(periods, (-1, 2))
+        self.encloses = shut & ~self.periods.any(axis=1)
         self.starts = np.concatenate(([0], np.cumsum(counts)))
         self.ds = np.repeat(np.asarray(spacings, float), counts)
         self.closed = np.repeat(shut, counts)
@@ -50,16 +63,19 @@ class Curves:
         self.before, self.after = marker - 1, marker + 1
         self.before[first] = np.where(shut, last, first)
         self.after[last] = np.where(shut, first, last)
+        self.ahead, self.behind = np.zeros((2, len(marker), 2))
+        self.ahead[last], self.behind[first] = self.periods, -self.periods
         joined = self.before != marker
         self.edges = np.stack((self.before, marker), axis=1)[joined]
         self.edge_ds = self.ds[joined]
+        self._edge_shift = -self.behind[joined]
         self.edge_starts = np.concatenate(([0], np.cumsum(counts - ~shut)))
         inner = joined & (self.after != marker)
         self.triples = np.stack((self.before, marker, self.after), axis=1)[inner]
 
     def edge_vectors(self, markers):
         """X_k - X_{k-1} at the half points, shape (H, 2)."""
-        return markers[self.edges[:, 1]] - markers[self.edges[:, 0]]
+        return markers[self.edges[:, 1]] - markers[self.edges[:, 0]] + self._edge_shift
 
     def stretching(self, markers):
         """Stretching |X_s| at the half points, shape (H,)."""
@@ -67,16 +83,34 @@ class Curves:
 
     def chords(self, markers):
         """X_{k+1} - X_{k-1} at the markers, shape (M, 2); one edge at an open end."""
-        return markers[self.after] - markers[self.before]
+        return markers[self.after] - markers[self.before] + (self.ahead - self.behind)
+
+    @property
+    def count(self):
+        """Number of curves."""
+        return len(self.starts) - 1
+
+    @property
+    def owner(self):
+        """Number of its curve, at each marker."""
+        return self.spread(np.arange(self.count))
 
     def sums(self, values):
-        """Sum over each curve of values at the markers, shape (V,)."""
+        """Sum over each curve of values at the markers, shape (V, ...)."""
         return np.add.reduceat(values, self.starts[:-1]) if len(values) else values[:0]
 
     def spread(self, values):
-        """Value of its curve, from an array over the curves, at each marker."""
-        return np.repeat(values, np.diff(self.starts))
+        """Value of its curve, from an array (V, ...) over the curves, at each marker."""
+        return np.repeat(values, np.diff(self.starts), axis=0)
+
+    def edge_sums(self, values):
+        """Sum over each curve of values at the half points, shape (V,)."""
+        return np.add.reduceat(values, self.edge_starts[:-1]) if len(values) else values[:0]
 
     def parts(self, values):
         """Views of an array over the markers, one for each curve."""
         return [values[a:b] for a, b in zip(self.starts[:-1], self.starts[1:])]
+
+    def edge_parts(self, values):
+        """Views of an array over the half points, one for each curve."""
+        return [values[a:b] for a, b in zip(self.edge_starts[:-1], self.edge_starts[1:])]

@@ -8,6 +8,7 @@ the area a membrane encloses is left out.
 import numpy as np
 
 from ..coupling import kink
+from .geometry import signed_area
 
 
 class Slip:
@@ -53,7 +54,7 @@ class Slip:
 
 
 class AreaProjector:
-    """Pi = 1 - N N^T / |N|^2 for each closed membrane: velocities that keep the polygon's area.
+    """Pi = 1 - N N^T / |N|^2 for each membrane around an area: velocities that keep that area.
 
     N is the gradient of the area with respect to the markers, half the chord turned by a quarter.
 
@@ -65,7 +66,7 @@ class AreaProjector:
 
     def __init__(self, curves, markers):
         self.curves = curves
-        chord = curves.chords(markers) * curves.closed[:, None]
+        chord = curves.chords(markers) * curves.spread(curves.encloses)[:, None]
         self.normal = np.stack((chord[:, 1], -chord[:, 0]), axis=1) / 2
         self.square = curves.sums(np.einsum("ki,ki->k", self.normal, self.normal))
 
@@ -80,24 +81,15 @@ class AreaProjector:
         return values - self.curves.spread(self.component(values))[:, None] * self.normal
 
 
-def areas(curves, markers):
-    """Signed area inside each curve's polygon, shape (V,); meaningless for open curves."""
-    ahead = markers[curves.after]
-    origin = markers[curves.starts[:-1]] if len(markers) else markers[:0]
-    local = markers - np.repeat(origin, np.diff(curves.starts), axis=0)
-    ahead = ahead - np.repeat(origin, np.diff(curves.starts), axis=0)
-    return curves.sums(local[:, 0] * ahead[:, 1] - local[:, 1] * ahead[:, 0]) / 2
-
-
 def restore_areas(curves, markers, target):
-    """Shift markers along N until each closed membrane has the signed area `target`.
+    """Shift markers along N until each membrane around an area has the signed area `target`.
 
     Newton's method; the area is quadratic in the shift, so three steps take an error of 1e-2 to
     round-off.
     """
     for _ in range(3):
         projector = AreaProjector(curves, markers)
-        missing = np.divide(target - areas(curves, markers), projector.square,
+        missing = np.divide(target - signed_area(markers, curves), projector.square,
                             out=np.zeros_like(target), where=projector.square > 0)
         markers = markers + curves.spread(missing)[:, None] * projector.normal
     return markers

@@ -1,4 +1,4 @@
-"""Initial shapes: closed curves of markers equally spaced in arclength."""
+"""Initial shapes: curves of markers equally spaced in arclength."""
 
 import numpy as np
 
@@ -54,8 +54,50 @@ def ellipse(axes, center, angle, count):
     )
 
 
+def line(start, end, amplitude, count):
+    """Markers from one side of a periodic box to the other, on one wave of a sine.
+
+    Parameters
+    ----------
+    start, end : (float, float)
+        Where it would begin and end if it were straight; the end is the start again.
+    amplitude : float
+        To the left of the way, at first.
+    count : int
+
+    Returns
+    -------
+    markers : ndarray, shape (count, 2)
+    length : float
+    """
+    along = np.subtract(end, start)
+    across = np.array((-along[1], along[0])) / np.hypot(*along)
+    turn = 2 * np.pi
+
+    def speed(part):
+        return np.hypot(np.hypot(*along), amplitude * turn * np.cos(turn * part))
+
+    edges = np.linspace(0, 1, PANELS + 1)
+    part = equal_arcs(speed, edges, count)[:, None]
+    markers = start + part * along + amplitude * np.sin(turn * part) * across
+    return markers, arc_length(speed, edges[:-1], edges[1:]).sum()
+
+
+def plate(half, center, angle, count):
+    """Markers on a straight open line of the length 2 `half`, turned from the vertical.
+
+    Returns
+    -------
+    ndarray, shape (count, 2)
+        The first at the upper end where the angle is 0.
+    """
+    turn = np.deg2rad(angle)
+    along = half * np.array((-np.sin(turn), np.cos(turn)))
+    return center + np.linspace(1, -1, count)[:, None] * along
+
+
 def equal_arcs(speed, edges, count):
-    """Parameters, from edges[0] on, that cut a closed curve into `count` pieces of equal length.
+    """Parameters, from edges[0] on, that cut a curve into `count` pieces of equal length.
 
     Parameters
     ----------

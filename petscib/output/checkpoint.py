@@ -7,7 +7,7 @@ row index y, column index x; m x n cells of size dx x dy on the box a <= x <= b,
 Attributes of the root:
 
 ==================  ==============================================================================
-format_version      1
+format_version      2; files of version 1, which have one closed vesicle or none, are read too
 petscib_version     of the program that wrote it
 step, time          of the state
 dt                  time step to go on with (-ts_dt unless -ts_adapt or -ts_rtol has changed it)
@@ -28,13 +28,19 @@ Datasets, all of 8-byte floats, with attributes ``unit`` and ``location``:
 /vesicle_0/X              (M, 2)           markers, x and y
 /vesicle_0/stretch        (M,)             |X_s| at half points; entry k lies between k - 1 and k
 /vesicle_0/rest_stretch   (M,)             |X_s| without tension, at half points
+/vesicle_0/target         (M, 2)           where tethers hold the markers, if any are held
 ========================  ===============  ========================================================
+
+Other vesicles are in /vesicle_1, /vesicle_2 and so on.  An open curve has M - 1 half points, entry
+k between k and k + 1.
 
 With ``-periodic x`` u lacks the last column, which would be the first again, and with
 ``-periodic y`` v its last row; markers that have crossed such a side go on outside the box.  The
 group /fluid has the attributes
 ``domain`` (a, b, c, d) and ``spacing`` (dx, dy); /vesicle_0 has ``ds``, the markers' parameter
-step, and ``initial_area`` and ``initial_perimeter``, to which the errors in diagnostics.csv refer.
+step, ``initial_area`` and ``initial_perimeter``, to which the errors in diagnostics.csv refer (nan
+where no area is enclosed), ``closed`` (0 or 1), and ``period`` (x, y), how far beyond the last
+marker the first is found again (0, 0 but for lines across a periodic box).
 
 /history holds what a scheme carries from step to step besides (`State.history`): a dataset for an
 array of the markers or half points, a group with u and v for a velocity, a group with p for a
@@ -51,11 +57,13 @@ from petsc4py import PETSc
 
 from .. import __version__
 from ..errors import InputError
+from ..membranes.curves import Curves
 from ..pressure import BARE
 from ..problem import State
 from .files import Dataset, explain, write_hdf5
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
+READABLE = 1, 2
 NAMES = "checkpoint-#.h5", "final.h5"
 _NUMBERS = ("step", "time", "dt", "good_steps", "largest_energy", "wall_seconds")
 
@@ -72,8 +80,8 @@ class Progress:
         Largest energy of any row of diagnostics so far.
     wall_seconds : float
         Time spent so far, restarts included.
-    reference : dict
-        Initial area and perimeter of the vesicle; empty without one.
+    reference : dict of str to list of float
+        Initial area and perimeter of each vesicle; empty without any.
     solver_options : dict of str to str
         What the user gave under the solvers' prefixes.
     """
@@ -98,10 +106,7 @@ class Header:
     options : dict
         As `Settings.to_dict` gives it.
     progress : Progress
-    markers : int
-        Their number; 0 without a vesicle.
-    ds : float
-        Parameter step of the markers.
+    vesicles : list of SavedCurve
     """
 
     path: str
@@ -109,8 +114,17 @@ class Header:
     time: float
     options: dict
     progress: Progress
-    markers: int = 0
-    ds: float = 0.0
+    vesicles: list = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class SavedCurve:
+    """How the markers of a saved vesicle are joined."""
+
+    markers: int
+    ds: float
+    closed: bool
+    period: tuple
 
 
 def name_of(step):
@@ -157,23 +171,38 @@ def save(path, problem, state, settings, progress):
         _pressure("fluid", grid, state.pressure),
     ]
     if problem.membranes is not None:
-        count = comm.bcast(len(state.markers))
-        attributes["/vesicle_0"] = {
-            "ds": comm.bcast(problem.membranes.curves.ds[:1])[0],
-            **{f"initial_{name}": value for name, value in progress.reference.items()},
-        }
-        length, ratio = {"unit": "length"}, {"unit": "1", "location": "half points k - 1/2"}
-        datasets += [
-            Dataset("vesicle_0/X", state.markers, (count, 2), location="markers k", **length),
-            Dataset("vesicle_0/stretch", state.stretch, (count,), **ratio),
-            Dataset("vesicle_0/rest_stretch", problem.membranes.rest_stretch, (count,), **ratio),
-        ]
+        _add_vesicles(problem, state, progress, comm, attributes, datasets)
     for name, value in state.history.items():
         if isinstance(value, float):
             attributes.setdefault("/history", {})[name] = value
         else:
             datasets += _history(f"history/{name}", grid, comm, value)
     write_hdf5(path, comm, datasets, attributes)
+
+
+def _add_vesicles(problem, state, progress, comm, attributes, datasets):
+    """Add what there is to write of each vesicle.  Collective."""
+    constants = problem.membranes.constants
+    curves = constants.curves
+    length, ratio = {"unit": "length", "location": "markers k"}, {
+        "unit": "1", "location": "half points k - 1/2"}
+    arrays = [
+        ("X", curves.starts, state.markers, length),
+        ("stretch", curves.edge_starts, state.stretch, ratio),
+        ("rest_stretch", curves.edge_starts, constants.rest_stretch, ratio),
+    ]
+    if constants.target is not None:
+        arrays.append(("target", curves.starts, constants.target, length))
+    for k, first in enumerate(curves.starts[:-1]):
+        attributes[f"/vesicle_{k}"] = {
+            "ds": curves.ds[first], "closed": int(curves.closed[first]),
+            "period": curves.periods[k],
+            **{f"initial_{name}": values[k] for name, values in progress.reference.items()},
+        }
+        for name, starts, values, words in arrays:
+            shape = (starts[k + 1] - starts[k], *values.shape[1:])
+            mine = slice(starts[k], starts[k + 1]) if comm.rank == 0 else slice(0)
+            datasets.append(Dataset(f"vesicle_{k}/{name}", values[mine], shape, **words))
 
 
 def _velocity(group, grid, vector):
@@ -233,10 +262,10 @@ def _read_header(path, file):
     found = file.attrs
     if "format_version" not in found:
         raise InputError(f"{path}: an HDF5 file, but not a checkpoint of petscib")
-    if not np.array_equal(found["format_version"], FORMAT_VERSION):
+    if found["format_version"] not in READABLE:
         raise InputError(
-            f"{path}: its format version is {found['format_version']}; allowed: {FORMAT_VERSION}, "
-            "which is what this petscib reads and writes"
+            f"{path}: its format version is {found['format_version']}; allowed: "
+            f"{' or '.join(map(str, READABLE))}, which is what this petscib reads"
         )
     missing = [name for name in (*_NUMBERS, "options", "solver_options") if name not in found]
     if missing:
@@ -256,15 +285,21 @@ def _read_header(path, file):
     _expect(path, file, "fluid/u", (n, m + ("x" not in periodic)))
     _expect(path, file, "fluid/v", (n + ("y" not in periodic), m))
     _expect(path, file, "fluid/p", (n, m))
-    if vesicles:
-        _expect(path, file, "vesicle_0/X", (None, 2))
-        vesicle = file["vesicle_0"]
-        header.markers, header.ds = len(vesicle["X"]), vesicle.attrs["ds"].item()
+    areas, perimeters = [], []
+    for k in range(vesicles):
+        _expect(path, file, f"vesicle_{k}/X", (None, 2))
+        group = file[f"vesicle_{k}"]
+        count, closed = len(group["X"]), bool(group.attrs.get("closed", True))
         for name in ("stretch", "rest_stretch"):
-            _expect(path, file, f"vesicle_0/{name}", (header.markers,))
-        progress.reference = {
-            name: vesicle.attrs[f"initial_{name}"].item() for name in ("area", "perimeter")
-        }
+            _expect(path, file, f"vesicle_{k}/{name}", (count - (not closed),))
+        if "target" in group:
+            _expect(path, file, f"vesicle_{k}/target", (count, 2))
+        period = tuple(map(float, group.attrs.get("period", (0.0, 0.0))))
+        header.vesicles.append(SavedCurve(count, group.attrs["ds"].item(), closed, period))
+        areas.append(group.attrs["initial_area"].item())
+        perimeters.append(group.attrs["initial_perimeter"].item())
+    if vesicles:
+        progress.reference = {"area": areas, "perimeter": perimeters}
     return header
 
 
@@ -283,23 +318,35 @@ def _expect(path, file, name, shape):
         )
 
 
-def load_membrane(header, comm):
-    """Markers, stretch and rest_stretch on rank 0; arrays without rows elsewhere.  Collective.
+def load_membranes(header, comm):
+    """The membranes, on rank 0; arrays without rows elsewhere.  Collective.
+
+    Returns
+    -------
+    curves : Curves
+    markers, stretch, rest_stretch, target : ndarray
+        Of all one after the other; without tethers the targets are the markers.
 
     Raises
     ------
     InputError
         On all ranks.
     """
-    arrays = [np.zeros((0, 2)), np.zeros(0), np.zeros(0)]
+    found = {"X": [np.zeros((0, 2))], "target": [np.zeros((0, 2))],
+             "stretch": [np.zeros(0)], "rest_stretch": [np.zeros(0)]}
 
     def read(file):
-        if comm.rank == 0:
-            for k, name in enumerate(("X", "stretch", "rest_stretch")):
-                arrays[k] = _finite(file[f"vesicle_0/{name}"])
+        for k in range(len(header.vesicles) if comm.rank == 0 else 0):
+            group = file[f"vesicle_{k}"]
+            for name, parts in found.items():
+                parts.append(_finite(group[name if name in group else "X"]))
 
     _on_file(header.path, comm, read)
-    return arrays
+    mine = header.vesicles if comm.rank == 0 else []
+    curves = Curves(*zip(*((one.markers, one.ds, one.closed, one.period) for one in mine))
+                    ) if mine else Curves([], [])
+    return (curves, *(np.concatenate(found[name])
+                      for name in ("X", "stretch", "rest_stretch", "target")))
 
 
 def load_state(header, grid, markers, stretch):

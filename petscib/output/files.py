@@ -169,7 +169,8 @@ def _write(path, datasets, attributes, **driver):
     """
     trouble = ""
     try:
-        with h5py.File(path, "w", **driver) as file:
+        # Attributes of any length need this format: the options of hundreds of vesicles are long.
+        with h5py.File(path, "w", libver=("v108", "latest"), **driver) as file:
             for name, entries in attributes.items():
                 file.require_group(name).attrs.update(entries)
             for dataset in datasets:

@@ -8,6 +8,8 @@ import math
 import sys
 from time import monotonic
 
+from ..schemes.registry import SCHEMES
+
 LINES_BETWEEN_HEADERS = 25
 REDRAW_SECONDS = 0.1
 
@@ -232,6 +234,32 @@ def create(name=None, stream=None):
         monitor.write("the progress bar needs tqdm, which is not installed: plain lines instead")
         return LogMonitor(stream)
     return BarMonitor(stream)
+
+
+def opening_line(settings, steps):
+    """What a run is going to do, and on which solvers: its first line.
+
+    Parameters
+    ----------
+    settings : Settings
+    steps : int or float
+        Those to come; infinite when nobody knows.
+    """
+    if settings.fft:
+        solvers = "transforms" + (" and CG" if settings.vesicles else "")
+        others = "without -fft multigrid"
+    elif SCHEMES[settings.scheme].coupled:
+        solvers = "FGMRES with GAMG for velocity and pressure together"
+        others = "-fft: transforms, -scheme mcn: CG with GAMG for velocity, then for pressure"
+    else:
+        solvers = "CG with GAMG for velocity, then for pressure"
+        others = "-fft: transforms"
+    count = f"{steps:.0f} steps to t = {settings.ts_max_time:g}" if math.isfinite(steps) else (
+        f"steps to t = {settings.ts_max_time:g}")
+    return (
+        f"{settings.scene}, {settings.stag_grid_x} x {settings.stag_grid_y} cells, "
+        f"{settings.scheme} with dt = {settings.ts_dt:.4g}, {count}; {solvers} ({others})"
+    )
 
 
 def closing_lines(summary):

@@ -9,10 +9,12 @@ import glob
 import json
 import os
 from contextlib import contextmanager
+from itertools import cycle
 from typing import NamedTuple
 
 import numpy as np
 
+from ..schemes.registry import SCHEMES
 from . import tables
 
 STYLE = {
@@ -39,28 +41,27 @@ SKY, PURPLE, GREY = "#56B4E9", "#CC79A7", "#777777"
 VESICLE_COLOURS = (BLUE, GREEN, PURPLE, ORANGE, SKY, GREY)
 MARKED_POINT = VERMILLION
 
-ENERGIES = (
-    ("kinetic", "kinetic", BLUE),
-    ("tension", "tension_energy", VERMILLION),
-    ("bending", "bending_energy", GREEN),
-)
+LAW_COLOURS = VERMILLION, GREEN, ORANGE, PURPLE, GREY
 SOLVES = (
     ("momentum", BLUE, "o"),
     ("poisson", ORANGE, "s"),
     ("coupled", VERMILLION, "^"),
     ("picard", GREEN, "D"),
 )
-#: Ledger terms that can only take energy away, in stacking order; all others can have any sign.
+#: Ledger terms that can only take energy away, in stacking order, before those of the laws; all
+#: others can have any sign.
 DISSIPATION = (
     ("viscous", "viscosity", BLUE),
     ("inertia", "numerical: inertia", SKY),
-    ("projection", "numerical: projection", PURPLE),
-    ("tension", "numerical: tension", VERMILLION),
-    ("bending", "numerical: bending", GREEN),
+    ("projection", "numerical: projection", "#F0E442"),
+    ("kink", "kink correction", "#000000"),
 )
-SUPPLY_NAMES = {"wall_power": "walls", "reset": "stretching reset"}
+SUPPLY_NAMES = {"wall_power": "walls", "body_power": "body force", "load_power": "loads",
+                "reset": "stretching reset"}
+SUPPLY_STYLES = (":", "-.", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (7, 2)), (0, (3, 1, 1, 1)))
 
 PANELS = 8
+FEW = 4  # vesicles whose stars do not hide them
 FRAMES = 150
 FRAMES_PER_SECOND = 15
 
@@ -96,7 +97,8 @@ def plot_all(folder, output=None):
 
 def plot_outlines(folder, output=None):
     """``outlines.png``: the vesicles at up to eight times, marker 0 as a star (paper, Fig. 2)."""
-    moments = _in_the_box(_read_moments(folder), _read_options(folder))
+    options = _read_options(folder)
+    moments = _to_their_ends(_in_the_box(_read_moments(folder), options), options)
     if not moments:
         return None
     times = np.array([time for time, _ in moments])
@@ -111,8 +113,7 @@ def plot_outlines(folder, output=None):
         shared = len(set(boxes)) == 1
         axes = figure.subplots(rows, columns, squeeze=False, sharex=shared, sharey=shared)
         for axis, (time, outlines), box in zip(axes.flat, panels, boxes):
-            for vesicle, X in outlines:
-                _draw_outline(axis, X, VESICLE_COLOURS[vesicle % len(VESICLE_COLOURS)])
+            _draw_outlines(axis, outlines)
             box.frame(axis)
             axis.locator_params(nbins=4)
             axis.set_title(f"$t = {_time_text(time, times[-1])}$")
@@ -200,7 +201,9 @@ def plot_conservation(folder, output=None):
 def plot_energy(folder, output=None):
     """``energy.png``: the energies over time, above as they add up, below on a log axis."""
     table = _read_table(folder)
-    parts = [(name, colour, _column(table, column)) for name, column, colour in ENERGIES]
+    parts = [("kinetic", BLUE, _column(table, "kinetic"))]
+    parts += [(_words(name), colour, _column(table, f"{name}_energy"))
+              for name, colour in _laws(table)]
     parts = [part for part in parts if np.nansum(abs(part[2])) > 0]
     total = _column(table, "energy")
     if not np.isfinite(total).any():
@@ -237,9 +240,10 @@ def plot_ledger(folder, output=None):
     change, residual = terms.pop("change", None), terms.pop("residual", None)
     if change is None:
         return None
+    laws = [(name, f"numerical: {_words(name)}", colour) for name, colour in _laws(table)]
     areas = [
         (label, colour, -terms.pop(name))
-        for name, label, colour in DISSIPATION
+        for name, label, colour in (*DISSIPATION, *laws)
         if np.any(terms.get(name))
     ]
     supplies = {name: values for name, values in terms.items() if np.any(values)}
@@ -256,8 +260,8 @@ def plot_ledger(folder, output=None):
             axes[0].stackplot(time, *values, labels=labels, colors=colours, alpha=0.75, lw=0)
         if supplies:
             _line(axes[0], time, lost, color="black", ls="--", lw=1.2, label="lost")
-        for (name, values), style in zip(supplies.items(), (":", "-.", (0, (5, 1, 1, 1, 1, 1)))):
-            label = f"put in: {SUPPLY_NAMES.get(name, name)}"
+        for (name, values), style in zip(supplies.items(), cycle(SUPPLY_STYLES)):
+            label = f"put in: {SUPPLY_NAMES.get(name, _words(name))}"
             _line(axes[0], time, values, color="black", ls=style, lw=1.2, label=label)
         label = "lost + put in" if supplies else "lost"
         _line(axes[0], time, lost + sum(supplies.values()), color="black", label=label)
@@ -303,7 +307,7 @@ def plot_fields(folder, output=None):
         for axis in axes:
             for X in fields.outlines:
                 for shift in _periodic_shifts(fields, X):
-                    _draw_outline(axis, X + shift, "black", marked=False)
+                    _draw_outline(axis, X + shift, "black")
             axis.set(xlim=(a, b), ylim=(c, d), aspect="equal", xlabel="$x$", ylabel="$y$")
             axis.set_title(f"$t = {_time_text(fields.time, fields.time)}$")
             axis.label_outer()
@@ -321,7 +325,8 @@ def animate(folder, output=None, mp4=False):
     """
     from matplotlib import animation
 
-    moments = _in_the_box(_read_moments(folder), _read_options(folder))
+    options = _read_options(folder)
+    moments = _to_their_ends(_in_the_box(_read_moments(folder), options), options)
     if not moments:
         return None
     if mp4 and not animation.FFMpegWriter.isAvailable():
@@ -341,8 +346,7 @@ def animate(folder, output=None, mp4=False):
         with writer.saving(figure, figure.path, dpi=100):
             for time, outlines in frames:
                 axis.clear()
-                for vesicle, X in outlines:
-                    _draw_outline(axis, X, VESICLE_COLOURS[vesicle % len(VESICLE_COLOURS)])
+                _draw_outlines(axis, outlines)
                 box.frame(axis)
                 axis.set(xlabel="$x$", ylabel="$y$")
                 axis.set_title(f"$t = {_time_text(time, times[-1])}$")
@@ -432,14 +436,30 @@ def _read_fields(folder):
             domain = domain.split(",")
         outlines = []
         while f"vesicle_{len(outlines)}/X" in file:
-            outlines.append(file[f"vesicle_{len(outlines)}/X"][:])
+            vesicle = file[f"vesicle_{len(outlines)}"]
+            period = vesicle.attrs.get("period", 0.0) if vesicle.attrs.get("closed", 1) else None
+            outlines.append(_to_its_end(vesicle["X"][:], period))
+        # At the end of a step Crank-Nicolson leaves oscillations from cell to cell that it does not
+        # damp; in the middle, where its equations hold, there are none.
+        theta = SCHEMES[options["scheme"]].theta if "scheme" in options else 1.0
+        velocity = file["history/stage" if theta < 1 and "history/stage" in file else "fluid"]
         return Fields(
-            file["fluid/u"][:],
-            file["fluid/v"][:],
+            velocity["u"][:],
+            velocity["v"][:],
             outlines,
             float(file.attrs.get("time", np.nan)),
             tuple(float(side) for side in domain),
         )
+
+
+def _laws(table):
+    """Name and colour of each law of the membranes that has an energy in the table."""
+    names = [name[: -len("_energy")] for name in table if name.endswith("_energy")]
+    return list(zip(names, cycle(LAW_COLOURS)))
+
+
+def _words(name):
+    return name.replace("_", " ")
 
 
 def _column(table, name):
@@ -470,6 +490,26 @@ def _in_the_box(moments, options):
         return X - np.where(periodic, periods * (high - low), 0.0)
 
     return [(time, [(vesicle, moved(X)) for vesicle, X in outlines]) for time, outlines in moments]
+
+
+def _to_their_ends(moments, options):
+    """Outlines as they are drawn."""
+    low, high = np.reshape(options.get("domain", (-1.0, 1.0, -1.0, 1.0)), (2, 2)).T
+    along = 0 if "x" in options.get("periodic", "none") else 1
+    period = np.where(np.arange(2) == along, high - low, 0.0)
+    ends = {"line": period, "plate": None}
+
+    def ended(vesicle, X):
+        shape = options.get(f"vesicle_{vesicle}_shape", options.get("shape"))
+        return _to_its_end(X, ends.get(shape, 0.0))
+
+    return [(time, [(vesicle, ended(vesicle, X)) for vesicle, X in outlines])
+            for time, outlines in moments]
+
+
+def _to_its_end(X, period):
+    """A curve with its first marker again at the end, a period further; None leaves it open."""
+    return X if period is None else np.append(X, X[:1] + period, axis=0)
 
 
 def _largest(values):
@@ -674,11 +714,18 @@ def _time_axis(axis, time):
         axis.set_xlim(time[0], time[-1])
 
 
-def _draw_outline(axis, X, colour, marked=True):
-    """A closed outline; marker 0 as a star, as in the paper."""
-    axis.plot(*np.append(X, X[:1], axis=0).T, color=colour, linewidth=1.6)
-    if marked:
-        axis.plot(*X[0], marker="*", markersize=11, color=MARKED_POINT, markeredgewidth=0)
+def _draw_outlines(axis, outlines):
+    """The outlines of a moment, each in its colour; marker 0 as a star, as in the paper."""
+    size = 11 if len(outlines) <= FEW else 4
+    for vesicle, X in outlines:
+        _draw_outline(axis, X, VESICLE_COLOURS[vesicle % len(VESICLE_COLOURS)], size)
+
+
+def _draw_outline(axis, X, colour, star=0):
+    """An outline from `_to_its_end`, with a star of some size at marker 0."""
+    axis.plot(*X.T, color=colour, linewidth=1.6)
+    if star:
+        axis.plot(*X[0], marker="*", markersize=star, color=MARKED_POINT, markeredgewidth=0)
 
 
 def _light_blues():

@@ -12,8 +12,7 @@ import h5py
 import numpy as np
 from petsc4py import PETSc
 
-from .. import installation
-from ..diagnostics import COLUMNS
+from .. import diagnostics, installation
 from ..errors import InputError, ours
 from . import checkpoint, files, lock, monitor, tables
 from .files import on_root
@@ -91,9 +90,11 @@ class Results:
             for copy in copies:
                 os.replace(copy, copy[: -len(files.PART)])
         step = header.step if header else None
-        self.diagnostics = self._table("diagnostics.csv", COLUMNS, step)
+        names = diagnostics.columns(self.settings.vesicles)
+        self.diagnostics = self._table("diagnostics.csv", names, step)
         if self.problem.membranes is not None:
-            columns = tables.outline_columns(len(self.problem.membranes.rest_stretch))
+            self.longest = int(np.diff(self.problem.curves.starts).max())
+            columns = tables.outline_columns(self.longest)
             self.outlines = self._table("outlines.csv", columns, step)
 
     def _table(self, name, columns, step):
@@ -156,10 +157,9 @@ class Results:
         def write():
             self.diagnostics.write(row)
             if self.outlines is not None and state.step % self.outline_every == 0:
-                count = len(state.markers)
-                self.outlines.write(
-                    tables.outline_row(state.step, state.time, 0, state.markers, count)
-                )
+                for number, markers in enumerate(self.problem.curves.parts(state.markers)):
+                    self.outlines.write(tables.outline_row(
+                        state.step, state.time, number, markers, self.longest))
 
         on_root(self.comm, write)
         self.monitor.update(row)

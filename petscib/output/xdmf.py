@@ -17,6 +17,9 @@ In a frame, with 4-byte floats for m x n cells, row index y and column index x:
 /vesicle_0/stretch     (M,)             |X_s| on edge k
 =====================  ===============  ===========================================================
 
+Other vesicles are in /vesicle_1 and so on.  Open curves have M - 1 edges, and so have lines across
+a periodic box, whose last edge leads to the first marker's next image.
+
 Attributes of the root: step and time.  For the vorticity beside a wall, the ghost value
 2 u_wall - u_inside stands beyond it, as in the viscous operator.  In a periodic box the vesicle's
 middle is inside; where it crosses a side, it goes on outside.
@@ -117,7 +120,6 @@ class Series:
         self.problem = problem
         self.comm = problem.grid.comm.tompi4py()
         self.frames = []
-        self.markers = 0
         if self.comm.rank == 0:
             self.frames = [_moment(path) for path in files.named(folder, "fields-#.h5")]
 
@@ -146,20 +148,30 @@ class Series:
             _real("fluid/vorticity", vorticity, shape, box),
         ]
         if problem.membranes is not None:
-            self.markers = count = self.comm.bcast(len(state.markers))
-            edges = np.arange(count, dtype=np.int32)[self._mine]
-            edges = np.stack(((edges - 1) % count, edges), axis=1)
-            law = problem.membranes.law("tension")
-            tension = law.tension(state.stretch) if law else np.zeros_like(state.stretch)
-            datasets += [
-                _real("vesicle_0/X", _at_home(grid, state.markers), (count, 2)),
-                files.Dataset("vesicle_0/edges", edges, (count, 2)),
-                _real("vesicle_0/tension", tension, (count,)),
-                _real("vesicle_0/stretch", state.stretch, (count,)),
-            ]
+            datasets += self._vesicles(state)
         attributes = {"/": {"step": state.step, "time": state.time}}
         files.write_hdf5(os.path.join(self.folder, name), self.comm, datasets, attributes)
         files.on_root(self.comm, lambda: self._index(name, state.time))
+
+    def _vesicles(self, state):
+        """Datasets of all vesicles; the ranks without markers know their shapes."""
+        grid, membranes = self.problem.grid, self.problem.membranes
+        curves, law = membranes.constants.curves, membranes.law("tension")
+        tension = law.tension(state.stretch) if law else np.zeros_like(state.stretch)
+        datasets = []
+        for k, (first, begin, end) in enumerate(
+                zip(curves.starts, curves.edge_starts, curves.edge_starts[1:])):
+            begin += bool(curves.periods[k].any())  # an edge across the box would be drawn so
+            edges = (curves.edges[begin:end] - first).astype(np.int32)
+            last = curves.starts[k + 1]
+            datasets += [
+                _real(f"vesicle_{k}/X", _at_home(grid, state.markers[first:last]),
+                      (last - first, 2)),
+                files.Dataset(f"vesicle_{k}/edges", edges[self._mine], edges.shape),
+                _real(f"vesicle_{k}/tension", tension[begin:end], (end - begin,)),
+                _real(f"vesicle_{k}/stretch", state.stretch[begin:end], (end - begin,)),
+            ]
+        return datasets
 
     @property
     def _mine(self):
@@ -169,19 +181,19 @@ class Series:
     def _index(self, name, time):
         self.frames = [frame for frame in self.frames if frame[0] != name] + [(name, time)]
         grids = {"fields": self._fluid}
-        if self.markers:
-            grids["vesicles"] = self._vesicle
+        if self.problem.membranes is not None:
+            grids["vesicles"] = self._all_vesicles
         for title, describe in grids.items():
             text = _HEAD.format(name=title) + "".join(
-                f'<Grid Name="{title}" GridType="Uniform">\n<Time Value="{float(moment)!r}"/>\n'
-                f"{describe(frame)}</Grid>\n"
+                describe(frame, f'<Time Value="{float(moment)!r}"/>\n')
                 for frame, moment in self.frames
             )
             files.write_text(os.path.join(self.folder, f"{title}.xdmf"), text + _TAIL)
 
-    def _fluid(self, frame):
+    def _fluid(self, frame, time):
         m, n = self.problem.grid.m, self.problem.grid.n
-        return (
+        return _grid(
+            "fields", time,
             f'<Topology TopologyType="2DRectMesh" Dimensions="{n + 1} {m + 1}"/>\n'
             f'<Geometry GeometryType="VXVY">\n{_item(frame, "x", m + 1, size=8)}'
             f'{_item(frame, "y", n + 1, size=8)}</Geometry>\n'
@@ -190,16 +202,33 @@ class Series:
             + _attribute("vorticity", "Scalar", _item(frame, "fluid/vorticity", n, m))
         )
 
-    def _vesicle(self, frame):
-        count = self.markers
-        edges = _item(frame, "vesicle_0/edges", count, 2, kind="Int")
+    def _all_vesicles(self, frame, time):
+        curves = self.problem.membranes.constants.curves
+        if curves.count == 1:
+            return self._vesicle(frame, 0, "vesicles", time)
         return (
+            f'<Grid Name="vesicles" GridType="Collection" CollectionType="Spatial">\n{time}'
+            + "".join(self._vesicle(frame, k, f"vesicle_{k}") for k in range(curves.count))
+            + "</Grid>\n"
+        )
+
+    def _vesicle(self, frame, k, name, time=""):
+        curves, group = self.problem.membranes.constants.curves, f"vesicle_{k}"
+        markers = curves.starts[k + 1] - curves.starts[k]
+        count = curves.edge_starts[k + 1] - curves.edge_starts[k] - curves.periods[k].any()
+        edges = _item(frame, f"{group}/edges", count, 2, kind="Int")
+        return _grid(
+            name, time,
             f'<Topology TopologyType="Polyline" NumberOfElements="{count}" NodesPerElement="2">\n'
             f"{edges}</Topology>\n"
-            f'<Geometry GeometryType="XY">\n{_item(frame, "vesicle_0/X", count, 2)}</Geometry>\n'
-            + _attribute("tension", "Scalar", _item(frame, "vesicle_0/tension", count))
-            + _attribute("stretch", "Scalar", _item(frame, "vesicle_0/stretch", count))
+            f'<Geometry GeometryType="XY">\n{_item(frame, f"{group}/X", markers, 2)}</Geometry>\n'
+            + _attribute("tension", "Scalar", _item(frame, f"{group}/tension", count))
+            + _attribute("stretch", "Scalar", _item(frame, f"{group}/stretch", count))
         )
+
+
+def _grid(name, time, content):
+    return f'<Grid Name="{name}" GridType="Uniform">\n{time}{content}</Grid>\n'
 
 
 def _at_home(grid, markers):

@@ -1,97 +1,14 @@
 """Time stepping schemes, by name."""
 
-from dataclasses import dataclass
+from .registry import EXPLICIT, IMPLICIT, SCHEMES, Scheme
 
-from ..solvers.momentum import Momentum
-from ..solvers.poisson import PoissonSolver
-from ..solvers.stokes import Stokes
-from ..solvers.transforms.helmholtz import HelmholtzTransform
-from ..solvers.transforms.poisson import PoissonTransform
-from ..solvers.transforms.stokes import StokesTransform
-from .coupled import Coupled
-from .explicit import Explicit
-from .geometric import Geometric
-from .modified import Modified
-from .startup import Startup
-
-BACKWARD_EULER, CRANK_NICOLSON = 1.0, 0.5
+__all__ = ["EXPLICIT", "IMPLICIT", "SCHEMES", "Controls", "Scheme", "Solvers", "create"]
 
 
-@dataclass(frozen=True)
-class Controls:
-    """What a scheme lets its user set.
+def __getattr__(name):
+    """What needs PETSc is loaded only when it is asked for."""
+    if name in __all__:
+        from . import making
 
-    Attributes
-    ----------
-    startup : int
-        Number of first steps that are taken by backward Euler half steps.
-    picard_rtol : float
-    picard_max_it : int
-        When the tangent of the geometric schemes has converged, and when it has failed to.
-    fft : bool
-        Whether transforms solve the fluid's equations exactly.
-    """
-
-    startup: int = 0
-    picard_rtol: float = 1e-9
-    picard_max_it: int = 100
-    fft: bool = False
-
-
-class Solvers:
-    """Makes the fluid's solvers that a scheme asks for.  Collective.
-
-    Parameters
-    ----------
-    problem : Problem
-    fft : bool
-    """
-
-    def __init__(self, problem, fft):
-        self.problem, self.fft = problem, fft
-
-    def momentum(self):
-        """Of the momentum system."""
-        return self._fluid(Momentum, lambda: HelmholtzTransform(self.problem.grid))
-
-    def stokes(self):
-        """Of velocity and pressure together."""
-        problem = self.problem
-        return self._fluid(Stokes, lambda: StokesTransform(problem.grid, problem.operators))
-
-    def _fluid(self, kind, transform):
-        problem = self.problem
-        return kind(problem.operators, problem.rho, problem.mu, transform() if self.fft else None)
-
-    def poisson(self):
-        """Of the pressure's Poisson problem."""
-        transform = PoissonTransform(self.problem.grid) if self.fft else None
-        return PoissonSolver(self.problem.operators, transform=transform)
-
-
-def _geometric(problem, theta, solvers, controls):
-    membranes = problem.membranes
-    # Without tension or projector there is nothing to average, and only Crank-Nicolson iterates
-    # on where the markers are.
-    if membranes is None or (
-        theta == BACKWARD_EULER and membranes.law("tension") is None and not problem.conserve_area
-    ):
-        return Coupled(problem, theta, solvers)
-    return Geometric(problem, theta, solvers, controls)
-
-
-SCHEMES = {
-    "ep": lambda problem, solvers, controls: Explicit(problem, solvers),
-    "mbe": lambda problem, solvers, controls: Modified(problem, BACKWARD_EULER, solvers),
-    "mcn": lambda problem, solvers, controls: Modified(problem, CRANK_NICOLSON, solvers),
-    "be": lambda problem, solvers, controls: Coupled(problem, BACKWARD_EULER, solvers),
-    "cn": lambda problem, solvers, controls: Coupled(problem, CRANK_NICOLSON, solvers),
-    "gbe": lambda *given: _geometric(given[0], BACKWARD_EULER, *given[1:]),
-    "gcn": lambda *given: _geometric(given[0], CRANK_NICOLSON, *given[1:]),
-}
-
-
-def create(name, problem, controls=Controls()):
-    """The scheme of this name for a problem.  Collective."""
-    scheme = SCHEMES[name](problem, Solvers(problem, controls.fft), controls)
-    return Startup(scheme, controls.startup) if controls.startup else scheme
+        return getattr(making, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -18,13 +18,13 @@ class Coupled(StageScheme):
     """
 
     def __init__(self, problem, theta, solvers):
-        super().__init__(problem, theta, solvers.stokes())
+        super().__init__(problem, theta, solvers.stokes(), solvers.dt)
 
     def step(self, state, dt):
         """Take one step from `state`.  Collective.  Returns a Step."""
         problem = self.problem
-        operators, stress = problem.operators_at(state.markers), problem.stress(state)
-        stage = self.begin(state, dt)
+        operators, stage = problem.operators_at(state.markers), self.begin(state, dt)
+        stress = self.free_stress(state, dt, stage, operators)
 
         # rho (w - u^n) / (theta dt) + grad p = mu Laplacian w + F[f],  div w = 0,
         # f = - C^T m,  m = m0 + theta dt C U,  U = J w + K f
@@ -32,8 +32,8 @@ class Coupled(StageScheme):
             iterations = self.system.solve(self._rhs, stage, self.theta * dt, operators, stress)
 
         # u^{n+1} = u^n + (w - u^n) / theta,  X^{n+1} = X^n + dt U
-        velocity, motion = self.end_velocity(state, stage), self.system.marker_velocity()
+        velocity, motion = self.end_velocity(state, stage), self.marker_velocity(stage, operators)
         return self.finish(
             state, dt, stage, operators, velocity, motion,
-            **problem.account(operators, stage, motion), iterations={"coupled": iterations},
+            **self.account(state, dt, stage, operators, motion), iterations={"coupled": iterations},
         )

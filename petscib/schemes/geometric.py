@@ -13,7 +13,7 @@ MOTION = "marker_velocity"  # in the history: U, which carries the markers
 INNER_FRACTION = 0.005
 # ... and at least, relative to that of the tangent iteration.  Were the last passes less accurate,
 # the iteration would lose its way in their noise at large time steps.
-LAST_FRACTION = 0.1
+LAST_FRACTION = 0.01
 ANDERSON_DEPTH = 30
 
 
@@ -25,6 +25,8 @@ class Geometric(StageScheme):
     agree and the energy law is that of the true geometry.  The area projector stands at the mean
     position, so that the area stays too.  Crank-Nicolson also interpolates and spreads there,
     which makes it second order in time.
+
+    Implicit advection is by the stage velocity itself, from the last pass.
 
     All this depends on the new positions: Picard iteration with Anderson acceleration, starting
     from the positions that the velocities of the last two steps let expect.
@@ -42,16 +44,20 @@ class Geometric(StageScheme):
     """
 
     def __init__(self, problem, theta, solvers, controls):
-        super().__init__(problem, theta, solvers.stokes())
+        super().__init__(problem, theta, solvers.stokes(), solvers.dt)
         self.controls = controls
+        advection = problem.advection
+        self._carried = None  # the transport of a pass
+        if advection is not None and advection.implicit:
+            self.extrapolates, self._carried = False, problem.grid.velocity_vector()
 
     def step(self, state, dt):
         """Take one step from `state`.  Collective.  Returns a Step."""
         problem, system = self.problem, self.system
-        stress, stage = problem.stress(state), self.begin(state, dt)
         time = self.time(state, dt)
         guess = state.markers + dt * expected(
             state.history, MOTION, time, np.zeros_like(state.markers))
+        stage = self.begin(state, dt, state.markers + (1 - self.theta) * (guess - state.markers))
         acceleration = Anderson(ANDERSON_DEPTH)
         interpolation = problem.interpolation(state.markers) if self.theta == 1 else None
         change, passes, iterations = 1.0, 0, 0
@@ -69,26 +75,36 @@ class Geometric(StageScheme):
                 if self.theta < 1:
                     interpolation = self._move(interpolation, (state.markers + guess) / 2)
                 operators = problem.operators_between(state.markers, guess, interpolation)
+                if self._carried is not None:
+                    stage.velocity.copy(self._carried)
+                    problem.advection.carry(self._carried)
                 # rho (w - u^n) / (theta dt) + grad p = mu Laplacian w + F[f],  div w = 0,
                 # f = - C^T m,  m = m0 + theta dt C U,  U = J w + K f
+                stress = self.free_stress(state, dt, stage, operators)
                 with phase("coupled solve"):
                     system.update(self.theta * dt, operators, stress)
                     iterations += system.iterate(max(INNER_FRACTION * change, least))
 
                 # X^{n+1} = X^n + dt U
-                motion = system.marker_velocity()
+                motion = self.marker_velocity(stage, operators)
                 markers = state.markers + dt * motion
                 change = self._relative_change(guess, markers, state.markers)
+                if self._carried is not None:
+                    self._carried.axpy(-1.0, stage.velocity)
+                    change = max(change, self._carried.norm() / stage.velocity.norm())
                 guess = acceleration.next(guess, markers)
             passes += 1
 
         with phase("coupled solve"):
             system.finish()
+        if self._carried is not None:
+            self._transport.destroy()
+            self._transport = stage.velocity
         # u^{n+1} = u^n + (w - u^n) / theta
         velocity = self.end_velocity(state, stage)
         step = self.finish(
             state, dt, stage, operators, velocity, motion,
-            **problem.account(operators, stage, motion),
+            **self.account(state, dt, stage, operators, motion),
             iterations={"coupled": iterations, "picard": passes},
         )
         step.end.history.update(remembered(state.history, time, **{MOTION: motion}))

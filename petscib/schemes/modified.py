@@ -20,8 +20,8 @@ class Modified(ProjectionScheme):
     def step(self, state, dt):
         """Take one step from `state`.  Collective.  Returns a Step."""
         problem = self.problem
-        operators, stress = problem.operators_at(state.markers), problem.stress(state)
-        stage = self.begin(state, dt)
+        operators, stage = problem.operators_at(state.markers), self.begin(state, dt)
+        stress = self.free_stress(state, dt, stage, operators)
 
         # rho (w - u^n) / (theta dt) = mu Laplacian w + F[f],
         # f = - C^T m,  m = m0 + theta dt C U,  U = J w + K f
@@ -39,14 +39,16 @@ class Modified(ProjectionScheme):
         # X^{n+1} = X^n + dt (J (theta u^{n+1} + (1 - theta) u^n) + K f)
         account, motion = {}, None
         if problem.membranes is not None:
-            account = problem.account(operators, stage, self.system.marker_velocity())
+            account = self.account(
+                state, dt, stage, operators, self.marker_velocity(stage, operators))
             carrier = velocity
             if self.theta < 1:
                 carrier = velocity.copy()
                 carrier.axpby(1 - self.theta, self.theta, state.velocity)
             motion = operators.interpolate(carrier)
             if problem.acted_on:
-                motion = motion + operators.slip_velocity(operators.force(stage.stress))
+                force = operators.force(stage.stress) + stage.load
+                motion = motion + operators.slip_velocity(force)
         return self.finish(
             state, dt, stage, operators, velocity, motion, **account,
             projection=phi, iterations=iterations,

@@ -74,7 +74,7 @@ class ProjectionScheme(StageScheme):
     """
 
     def __init__(self, problem, theta, solvers, acts=True):
-        super().__init__(problem, theta, solvers.momentum(), acts)
+        super().__init__(problem, theta, solvers.momentum(), solvers.dt, acts)
         self.projection = Projection(problem, solvers.poisson())
 
     def destroy(self):

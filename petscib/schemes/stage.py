@@ -1,5 +1,7 @@
 """What the schemes share: a stage velocity is solved for, and all else follows from it."""
 
+import numpy as np
+
 from ..events import phase
 from ..pressure import JUMP
 from ..problem import State, Step
@@ -17,7 +19,8 @@ class StageScheme:
         rho (w - u^n) / (theta dt) + grad p = mu Laplacian w + F[f],    div w = 0,
         f = - C^T m,    m = m0 + theta dt C U,    U = Pi J w + K f,
 
-    without grad p and div w = 0 in the modified schemes; m are the membranes' stresses (see
+    without grad p and div w = 0 in the modified schemes, and with advection rho N(U) w on the left,
+    or rho N(U) U on the right; m are the membranes' stresses (see
     `petscib.membranes.laws`), C U = sqrt(sigma0 ds) T U for the tension.
 
     Parameters
@@ -25,6 +28,8 @@ class StageScheme:
     problem : Problem
     theta : float
     fluid : Momentum or Stokes
+    dt : float
+        The usual time step.
     acts : bool
         Whether the membranes' forces are in the stage equations.
     """
@@ -32,32 +37,78 @@ class StageScheme:
     advice = "try a smaller -ts_dt"
     order = 1  # of the markers' positions in dt: in most, the force acts where they have been
 
-    def __init__(self, problem, theta, fluid, acts=True):
+    def __init__(self, problem, theta, fluid, dt, acts=True):
         self.problem = problem
         self.theta = theta
         self.system = ImplicitSystem(
-            fluid, problem.membranes if acts else None, problem.kernel, problem.kink_correction)
-        self._rhs = problem.grid.velocity_vector()
+            fluid, problem.membranes if acts else None, problem.kernel, problem.kink_correction,
+            theta * dt)
+        self._rhs, self._load = problem.grid.velocity_vector(), None
+        if problem.loaded:
+            self._load = problem.grid.velocity_vector()
+        # Where the stage lies ahead of the start, the transport is that of a stage to come.
+        self.extrapolates = problem.advection is not None and theta < 1
 
-    def begin(self, state, dt):
+    def begin(self, state, dt, markers=None):
         """Set the fluid's part of the right-hand side, and the first guess.  Collective.
+
+        Parameters
+        ----------
+        state : State
+        dt : float
+        markers : ndarray, shape (M, 2), optional
+            Where given forces act; by default, at the step's start.
 
         Returns
         -------
         Stage
             Extrapolated from the last two steps.
         """
-        self.problem.fluid_rhs(state, self.theta * dt, self._rhs)
-        history, time = state.history, self.time(state, dt)
-        stress = self.problem.stress(state)
-        if stress is not None:
-            stress = expected(history, "stress", time, stress)
+        problem = self.problem
+        ahead = self.theta * dt if self.theta < 1 else 0.0
+        self._transport = problem.transport(state, ahead)
+        problem.fluid_rhs(state, self.theta * dt, self._rhs, self._transport)
+        history, time, load = state.history, self.time(state, dt), 0.0
+        stress = problem.stress(state)
+        if "stress" in history:
+            fixed = expected(history, "stress", time, stress)
+            stress = np.concatenate((fixed, stress[len(fixed) :]))
+        if problem.loaded:
+            load = problem.membranes.load(time)
+            self._load.zeroEntries()
+            problem.spread_load(load, state.markers if markers is None else markers, self._load)
+            self._rhs.axpy(1.0, self._load)
         velocity = expected(history, "stage", time, state.velocity)
-        return Stage(velocity, state.pressure.copy(), stress)
+        return Stage(velocity, state.pressure.copy(), stress, load)
 
     def time(self, state, dt):
         """When the stage of a step takes place."""
         return state.time + self.theta * dt
+
+    def free_stress(self, state, dt, stage, operators):
+        """m0: the stresses at the stage, but for what their own forces do."""
+        problem = self.problem
+        stress = problem.stress(state)
+        if problem.acted_on and problem.membranes.move:
+            stress = stress + self.theta * problem.stress_drift(state, dt)
+        if problem.loaded and operators.slip is not None:
+            slip = operators.slip_velocity(stage.load)
+            stress = stress + self.theta * dt * operators.rate(slip)
+        return stress
+
+    def marker_velocity(self, stage, operators):
+        """U at the stage, after a solve: (M, 2) on rank 0, None without markers.  Collective."""
+        velocity = self.system.marker_velocity()
+        if self.problem.loaded:
+            velocity = velocity + operators.slip_velocity(stage.load)
+        return velocity
+
+    def account(self, state, dt, stage, operators, motion):
+        """Fields of the Step that the energy law asks for.  Collective."""
+        power = 0.0
+        if self.problem.loaded:
+            power = self.problem.grid.cell_area * stage.velocity.dot(self._load)
+        return self.problem.account(state, dt, self.theta, operators, stage, motion, power)
 
     def end_velocity(self, state, stage):
         """u^n + (w - u^n) / theta, a new vector."""
@@ -90,7 +141,7 @@ class StageScheme:
         markers, stretch = state.markers, state.stretch
         known = {"stage": stage.velocity}
         if stage.stress is not None:
-            known["stress"] = stage.stress
+            known["stress"] = stage.stress[: problem.membranes.fixed]
         history = remembered(state.history, self.time(state, dt), **known)
         if operators is not None:
             with phase("marker motion"):
@@ -98,14 +149,24 @@ class StageScheme:
                 stretch = problem.next_stretch(state, dt, markers, rest.get("stress_rate"))
             operators.interpolation.destroy()
             if operators.projector is not None and stage.stress is not None:
-                force = operators.force(stage.stress)
+                force = operators.force(stage.stress) + stage.load
                 history[JUMP] = operators.projector.component(force)
+        if self.extrapolates:
+            rate = velocity.copy()
+            rate.axpby(-1 / dt, 1 / dt, state.velocity)
+            history["velocity_rate"] = rate
         end = State(state.step + 1, state.time + dt, velocity, stage.pressure, markers, stretch,
                     history)
         return Step(dt, self.theta, self.order, state, end, stage.velocity, marker_velocity=motion,
-                    **rest)
+                    transport=self._transport, **rest)
+
+    def forget(self):
+        """Drop what depends on earlier steps and is in no checkpoint."""
+        self.system.forget()
 
     def destroy(self):
         """Free the solver."""
         self.system.destroy()
         self._rhs.destroy()
+        if self._load is not None:
+            self._load.destroy()

@@ -37,6 +37,10 @@ class Startup:
         }
         return replace(second, dt=dt, start=state, iterations=iterations, parts=(first, second))
 
+    def forget(self):
+        """Drop what depends on earlier steps and is in no checkpoint."""
+        self.scheme.forget()
+
     def destroy(self):
         """Free the solvers."""
         self.scheme.destroy()

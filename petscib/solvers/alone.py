@@ -41,6 +41,7 @@ class Alone:
             self._solution, self._load = map(krylov.join, (self._unknowns, self._rhs))
             self._operator = krylov.Operator(self._solution, self)
             self.ksp = krylov.create(self._operator.matrix, fluid.prefix, fluid.defaults)
+            self.ksp.getPC().setUseAmat(False)  # as in `elimination`
             if not fluid.symmetric:
                 krylov.use_python(self.ksp, FluidPC(fluid))
 
@@ -51,6 +52,11 @@ class Alone:
     def begin(self, rhs, stage):
         """Take right-hand side and first guess."""
         self.rhs, self.stage = rhs, stage
+
+    take = begin
+
+    def forget(self):
+        """There is nothing."""
 
     def update(self, interval, operators, stress):
         """Follow the time step."""

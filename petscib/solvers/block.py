@@ -11,8 +11,8 @@ from ..events import phase
 from . import krylov
 from .model import MarkerModel
 
-
 ROUND_OFF = 1e-14  # relative tolerance below which no residual gets
+REDUCTION = 0.1  # of the residual, that a pass of the tangent iteration makes at least
 
 
 class Block:
@@ -36,6 +36,7 @@ class Block:
                                      for _ in range(2))
         self._force = self.fluid.grid.velocity_vector()
         self._solution, self._load = map(krylov.join, (self._unknowns, self._rhs))
+        self._residual = self._load.duplicate()
         self._operator = krylov.Operator(self._solution, self)
         self.ksp = krylov.create(
             self._operator.matrix, fluid.prefix,
@@ -45,6 +46,7 @@ class Block:
     def begin(self, rhs, stage):
         """Take right-hand side and first guess."""
         self.rhs, self.stage = rhs, stage
+        self.model.begin()
 
     def update(self, interval, operators, stress):
         """Set the system for a configuration of the membranes."""
@@ -90,7 +92,7 @@ class Block:
 
     def iterate(self, accuracy):
         """Solve.  Returns the iterations."""
-        fluid, stage, operators = self.fluid, self.stage, self.operators
+        fluid, stage = self.fluid, self.stage
         fluid.load(self._unknowns[:-1], stage.velocity, stage.pressure)
         self._unknowns[-1].getArray()[:] = stage.stress
         self.rhs.copy(self._rhs[0])
@@ -98,7 +100,8 @@ class Block:
         self._rhs[-1].getArray()[:] = -self._weights * self._free
         with krylov.tolerances(self.ksp, *self._asked(accuracy)):
             iterations = krylov.solve(
-                self.ksp, self._load, self._solution, fluid.name, krylov.advice(self.ksp))
+                self.ksp, self._load, self._solution, fluid.name, krylov.advice(self.ksp),
+                self.model.direct)
         fluid.store(self._unknowns[:-1], stage.velocity, stage.pressure)
         stage.stress = self._unknowns[-1].getArray(readonly=True).copy()
         return iterations
@@ -111,7 +114,10 @@ class Block:
         force = self.operators.force(self.stage.stress)
         power = np.sum(force * self.operators.slip_velocity(force))
         power = self.fluid.grid.comm.tompi4py().bcast(float(power))
-        return ROUND_OFF, accuracy * self._weight * np.sqrt(power)
+        self.mult(self._solution, self._residual)
+        self._residual.aypx(-1.0, self._load)
+        most = REDUCTION * self._residual.norm()
+        return ROUND_OFF, min(accuracy * self._weight * np.sqrt(power), most)
 
     def marker_velocity(self):
         """U of the last solution."""
@@ -132,6 +138,6 @@ class Block:
         if pc is not None:
             return
         self.model.destroy()
-        for part in (self.ksp, self._operator, self._solution, self._load, self._force,
-                     *self._unknowns, *self._rhs):
+        for part in (self.ksp, self._operator, self._solution, self._load, self._residual,
+                     self._force, *self._unknowns, *self._rhs):
             part.destroy()

@@ -2,12 +2,21 @@
 
 import numpy as np
 from petsc4py import PETSc
-from scipy.sparse import triu
+from scipy.sparse import csr_matrix, triu
 
 from . import direct, krylov
 
 # Stiff membranes make indefinite matrices, for which CHOLMOD has only its LDL^T.
 CHOLMOD_DEFAULTS = {"mat_cholmod_factor": "simplicial"}
+
+
+def _whole(upper):
+    """The symmetric matrix whose upper triangle has these entries, zeros among them kept."""
+    numbers = csr_matrix((np.arange(1.0, upper.nnz + 1), upper.indices, upper.indptr), upper.shape)
+    whole = (numbers + triu(numbers, 1).T).tocsr()
+    whole.sort_indices()
+    values = upper.data[whole.data.astype(int) - 1]
+    return csr_matrix((values, whole.indices, whole.indptr), whole.shape)
 
 
 class Cholesky:
@@ -29,12 +38,16 @@ class Cholesky:
     def __init__(self, prefix):
         self.prefix = prefix
         self.trouble = ""
-        self.ksp = self._matrix = None
+        self._matrix = None
         krylov.set_defaults(
             prefix,
             {"ksp_type": "preonly", **direct.defaults("cholesky", PETSc.COMM_SELF),
              **CHOLMOD_DEFAULTS},
         )
+        # Now, as the defaults may be gone from PETSc's database when the first matrix comes.
+        self.ksp = PETSc.KSP().create(comm=PETSc.COMM_SELF)
+        self.ksp.setOptionsPrefix(prefix)
+        self.ksp.setFromOptions()
 
     def factor(self, matrix):
         """Factor; a matrix with the entries of the last one keeps its symbolic factorisation.
@@ -46,13 +59,8 @@ class Cholesky:
         """
         if not matrix.shape[0]:
             return
-        if self.ksp is None:
-            self.ksp = PETSc.KSP().create(comm=PETSc.COMM_SELF)
-            self.ksp.setOptionsPrefix(self.prefix)
-            self.ksp.setFromOptions()
         if self.ksp.getPC().getFactorSolverType() == "petsc":  # which orders only whole matrices
-            matrix = (matrix + triu(matrix, 1).T).tocsr()
-            matrix.sort_indices()
+            matrix = _whole(matrix)
         csr = matrix.indptr, matrix.indices, matrix.data
         if self._matrix is None or self._entries != (matrix.shape, matrix.nnz):
             self._release()

@@ -58,5 +58,4 @@ def defaults(kind, comm):
         As `parallel`.
     """
     package = serial(kind) if comm.size == 1 else parallel()
-    more = MUMPS_DEFAULTS if package == "mumps" else {}
-    return {"pc_type": kind, "pc_factor_mat_solver_type": package, **more}
+    return {"pc_type": kind, "pc_factor_mat_solver_type": package, **MUMPS_DEFAULTS}

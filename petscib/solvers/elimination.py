@@ -131,7 +131,8 @@ class Elimination:
             accuracy = min(accuracy, ACCURACY)
         with krylov.tolerances(self.ksp, accuracy):
             iterations = krylov.solve(
-                self.ksp, self._load, self._solution, fluid.name, krylov.advice(self.ksp))
+                self.ksp, self._load, self._solution, fluid.name, krylov.advice(self.ksp),
+                self.block.direct)
         fluid.store(self._unknowns, stage.velocity, stage.pressure)
         self._carried = operators.interpolate(stage.velocity)
         stage.stress = self.block.solve(self._free + operators.rate(self._carried))

@@ -24,10 +24,15 @@ MARGIN = 1  # cells around the faces that the markers see, for them to move in
 # to have been so many times too large, the solve goes on.
 MUCH_LESS, MOST_ATTEMPTS = 0.1, 3
 ROUND_OFF = 1e-14
+# What a pass of the tangent iteration must make of its residual at least: were it content with the
+# last pass's answer, the iteration would learn nothing, and its acceleration go astray.
+REDUCTION = 0.1
 
 # Less accurate solves would be little cheaper, and show in the energy law; and many iterations are
 # cheap too, where a membrane that nearly touches itself needs them.
-DEFAULTS = {"ksp_type": "cg", "ksp_rtol": 1e-8, "ksp_max_it": 1000, "pc_type": "python"}
+DEFAULTS = {"ksp_type": "cg", "ksp_rtol": 1e-9, "ksp_max_it": 1000, "pc_type": "python"}
+# With advection errors of several solves add up, and ten cells a step are to be as exact as one.
+ADVECTED = {**DEFAULTS, "ksp_rtol": 1e-10}
 
 
 class Near:
@@ -119,12 +124,13 @@ class Force:
         self.fluid = fluid
         self.model = MarkerModel(membranes.curves, fluid.grid, kernel, fluid.rho, fluid.mu,
                                  fluid.share, fluid.prefix + "model_")
-        self._near = self._interval = None
+        self._near = self._interval = self._free_velocity = None
         self._base = fluid.grid.velocity_vector()
         self._load = krylov.vector_on_root(membranes.stress_count, fluid.grid.comm)
         self._change = self._load.duplicate()
         self._operator = krylov.Operator(self._change, self)
-        self.ksp = krylov.create(self._operator.matrix, fluid.prefix, DEFAULTS)
+        defaults = DEFAULTS if fluid.advection is None else ADVECTED
+        self.ksp = krylov.create(self._operator.matrix, fluid.prefix, defaults)
         krylov.use_python(self.ksp, self)
         self.ksp.setInitialGuessNonzero(False)
 
@@ -133,8 +139,19 @@ class Force:
         """Relative tolerance of a solve."""
         return self.ksp.getTolerances()[0]
 
+    def forget(self):
+        """Place the window anew at the next step."""
+        if self._near:
+            self._near.destroy()
+            self._near = None
+
     def begin(self, rhs, stage):
-        """Take right-hand side and first guess."""
+        """Take right-hand side and first guess of a time step."""
+        self.model.begin()
+        self.take(rhs, stage)
+
+    def take(self, rhs, stage):
+        """Take another right-hand side and first guess in the same step."""
         self.rhs, self.stage = rhs, stage
         self._free_velocity = None
 
@@ -146,20 +163,22 @@ class Force:
         with phase("marker model"):
             self.model.update(interval, operators)
         self._place(operators.interpolation.stencil, changed)
+        self._operator.changed()
+        self.ksp.setOperators(self._operator.matrix)
+
+    def _answer_rhs(self):
+        """The fluid's answer to the right-hand side, where it is not there yet."""
         if self._free_velocity is None:
             self.fluid.solve(self.rhs, self._base)
             area = self.fluid.grid.cell_area
             self._free_power = np.sqrt(abs(area * self.rhs.dot(self._base)))
             self._free_velocity = self._near.gather(self._base)
-        self._operator.changed()
-        self.ksp.setOperators(self._operator.matrix)
 
     def _place(self, stencil, changed):
         """Follow the markers: as a rule, they are still where they see the same faces."""
         matrix = self._near.interpolation(stencil) if self._near and not changed else None
         if self.fluid.grid.comm.tompi4py().bcast(matrix is None):
-            if self._near:
-                self._near.destroy()
+            self.forget()
             self._near = Near(self.fluid, stencil)
             matrix = self._near.interpolation(stencil)
             if self._free_velocity is not None:
@@ -191,6 +210,7 @@ class Force:
 
     def iterate(self, accuracy):
         """Solve for the stresses.  Returns the iterations."""
+        self._answer_rhs()
         operators, stress = self.operators, self.stage.stress
         carried = self._carry(self._free_velocity)
         load = self._free + operators.rate(carried)
@@ -199,15 +219,17 @@ class Force:
             force = operators.force(stress)
             moved = self._moved_by(force)
             self._load.getArray()[:] = load - stress / self.interval + operators.rate(moved)
-            loaded, exerted = self._share(
-                np.sqrt(abs(load @ self.model.solve(load))), np.sqrt(abs(np.sum(force * moved))))
+            residual = self._load.getArray(readonly=True)
+            loaded, left, exerted = self._share(
+                self._size(load), self._size(residual), np.sqrt(abs(np.sum(force * moved))))
             if accuracy is None:
                 tolerance = self.rtol * np.hypot(loaded, self._free_power)
             else:
-                tolerance = max(accuracy * exerted, ROUND_OFF * loaded)
+                tolerance = max(min(accuracy * exerted, REDUCTION * left), ROUND_OFF * loaded)
             with krylov.tolerances(self.ksp, 0.0, tolerance):
                 iterations += krylov.solve(
-                    self.ksp, self._load, self._change, self.fluid.name, krylov.advice(self.ksp))
+                    self.ksp, self._load, self._change, self.fluid.name, krylov.advice(self.ksp),
+                    self.model.direct)
             stress = stress + self._change.getArray(readonly=True)
             # f . (U - Pi J w_b) of the solution, with f . U = - m . C U
             work = -(stress @ (stress / self.interval - self._free)) - np.sum(
@@ -217,6 +239,10 @@ class Force:
                 break
         self.stage.stress = stress
         return iterations
+
+    def _size(self, residual):
+        """Norm of a residual as the iteration measures it, on the first rank."""
+        return np.sqrt(abs(residual @ self.model.solve(residual)))
 
     def _share(self, *values):
         """Numbers of the first rank, on all.  Collective."""
@@ -242,8 +268,7 @@ class Force:
         """Free the solver; PETSc calls this too.  Collective."""
         if pc is not None:
             return
-        if self._near:
-            self._near.destroy()
+        self.forget()
         self.model.destroy()
         for part in (self.ksp, self._operator, self._load, self._change, self._base):
             part.destroy()

@@ -37,6 +37,7 @@ class Operator:
     def mult(self, matrix, x, y):
         """What PETSc calls."""
         self.action.mult(x, y)
+        y.stateIncrease()  # set through its parts
 
     def view(self, matrix, viewer):
         """What PETSc calls for -ksp_view."""
@@ -86,9 +87,17 @@ def set_defaults(prefix, defaults):
             _entered.append(prefix + name)
 
 
-def withdraw_defaults():
-    """Take all defaults out of PETSc's database again, for the next run in this process."""
-    while _entered:
+def entered_defaults():
+    """How many defaults are in PETSc's database."""
+    return len(_entered)
+
+
+def withdraw_defaults(first=0):
+    """Take the defaults from the `first` on out of PETSc's database again.
+
+    The next run in this process must not find them; one that began earlier may still need its own.
+    """
+    while len(_entered) > first:
         PETSc.Options().delValue(_entered.pop())
 
 
@@ -147,7 +156,7 @@ def tolerances(ksp, rtol=None, atol=None):
         ksp.setTolerances(rtol=usual[0], atol=usual[1])
 
 
-def solve(ksp, rhs, solution, what, advice):
+def solve(ksp, rhs, solution, what, advice, inner=None):
     """Solve, from the values in `solution` unless they are no use.  Collective.
 
     After a long step the last state can be so many orders too large a guess that PETSc takes it
@@ -161,6 +170,8 @@ def solve(ksp, rhs, solution, what, advice):
         Which solve it is, for the message.
     advice : str
         What the user can try.
+    inner : Cholesky, optional
+        The first rank's part of the preconditioner, which may be to blame.
 
     Returns
     -------
@@ -172,12 +183,20 @@ def solve(ksp, rhs, solution, what, advice):
     SolveError
         On every rank, when the solve does not converge.
     """
+    if rhs.getType() == "nest":
+        rhs.stateIncrease()  # set through its parts: PETSc must not take its norm for known
     ksp.solve(rhs, solution)
     diverged = ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_DTOL
     if diverged and ksp.getInitialGuessNonzero():
         solution.set(0.0)
         ksp.solve(rhs, solution)
     if ksp.getConvergedReason() < 0:
+        trouble = inner and ksp.comm.tompi4py().bcast(inner.trouble)
+        if trouble:
+            raise SolveError(
+                f"{what} solve failed: -{inner.prefix} ended with {trouble}; try another "
+                f"-{inner.prefix}pc_factor_mat_solver_type"
+            )
         raise SolveError(
             f"{what} solve failed: {reason_name(ksp)} after {ksp.getIterationNumber()} "
             f"iterations; {advice}"

@@ -80,8 +80,8 @@ class LiteralPC:
             values = block.getArray(readonly=True)
             rhs[first : first + len(values)] = values
             first += len(values)
-        krylov.solve(self.ksp, self._rhs, self._answer, "direct", "try another -pc_factor_mat_"
-                     "solver_type")
+        krylov.solve(self.ksp, self._rhs, self._answer, "direct",
+                     f"try another -{self.ksp.getOptionsPrefix()}pc_factor_mat_solver_type")
         answer, first = self._answer.getArray(readonly=True), 0
         for block in krylov.blocks_of(y):
             values = block.getArray()

@@ -10,8 +10,8 @@ k, H is
 
     1 / ds int dq / (2 pi) phi^2(k, q) / (mu (k^2 + q^2) + rho / (theta dt)),
 
-half of it where the fluid's answer has no divergence.  With phi^2 about exp(-s2 h^2 (k^2 + q^2)), s2
-the variance of the kernel, this is exp(-s2 h^2 k^2) R(k) / ds with
+half of it where the fluid's answer has no divergence.  With phi^2 about exp(-s2 h^2 (k^2 + q^2)),
+s2 the variance of the kernel, this is exp(-s2 h^2 k^2) R(k) / ds with
 
     R(k) = erfcx(sqrt(s2) h kappa) / (2 mu kappa),    kappa^2 = k^2 + rho / (mu theta dt).
 
@@ -141,6 +141,10 @@ class MarkerModel:
         ]
         self._interval, self._order = interval, None
 
+    def begin(self):
+        """Keep nothing from the last time step, so that a restart is the uninterrupted run."""
+        self._rates = None
+
     def update(self, interval, operators):
         """Factor for theta dt = `interval` and the membranes' configuration.
 
@@ -154,7 +158,7 @@ class MarkerModel:
         rates = operators.rates.data
         if interval != self._interval:
             self._fit(interval)
-        elif abs(rates - self._rates).max() <= KEPT * abs(rates).max():
+        elif self._rates is not None and abs(rates - self._rates).max() <= KEPT * abs(rates).max():
             return
         self._rates = rates
         stress = self._stress.matrix(interval, operators)

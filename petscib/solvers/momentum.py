@@ -5,15 +5,15 @@ from petsc4py import PETSc
 
 from . import krylov
 
-# Cells that momentum may diffuse in theta dt for conjugate gradients with the stresses eliminated to
-# be the default.  Beyond, the block iteration is more than 1.5 times faster: it takes 0.4 to 0.9 of
-# the time at 5.7 and 8 cells, and 0.55 at 11 (256^2, dt = h; `make bench`).
+# Cells that momentum may diffuse in theta dt for conjugate gradients with the stresses eliminated
+# to be the default.  Beyond, the block iteration is more than 1.5 times faster: at 11 cells (256^2,
+# dt = h) it takes 0.55 of the time, at 5.7 and 8 (64^2, 128^2) 1.06 to 1.3 (`make bench`).
 FARTHEST = 9.0
 
-# Aggregates and smoothers made for one time step are no good for another: from 2.4e-4 to 4.9e-4
-# conjugate gradients lost definiteness (64^2, main job).  New ones cost half a step.
-MULTIGRID = {"pc_type": "gamg", "pc_gamg_reuse_interpolation": False}
-VELOCITY_DEFAULTS = {"ksp_type": "preonly", **MULTIGRID}
+# The matrix changes with the time step only; the coarse grids made for another step may then be no
+# approximation any more, and even make an indefinite preconditioner.
+GAMG_DEFAULTS = {"pc_type": "gamg", "pc_gamg_reuse_interpolation": False}
+VELOCITY_DEFAULTS = {"ksp_type": "preonly", **GAMG_DEFAULTS}
 
 
 class Momentum:
@@ -25,24 +25,31 @@ class Momentum:
     rho, mu : float
     transform : HelmholtzTransform, optional
         Exact inverse; without it, multigrid.
+    advection : Advection, optional
+        Added to A0 in products, and left out of preconditioner and inverse.
 
     Attributes
     ----------
     matrix : PETSc.Mat
-        Symmetric positive definite; wall faces have decoupled rows.
+        A0, symmetric positive definite; wall faces have decoupled rows.
     interval : float or None
         The theta dt that the matrix is made for.
     """
 
     name, prefix = "momentum", "momentum_"
     share = 1.0  # of a force's answer that a velocity in this system has; see `model`
-    defaults = {"ksp_type": "cg", "ksp_rtol": 1e-6, "ksp_max_it": 500, **MULTIGRID}
+    defaults = {"ksp_type": "cg", "ksp_rtol": 1e-6, "ksp_max_it": 500,
+                # At sigma0 = 1e13 the first residuals may be 1e5 times that of the start.
+                "ksp_divtol": 1e12, **GAMG_DEFAULTS}
     symmetric = True
 
-    def __init__(self, operators, rho, mu, transform=None):
+    def __init__(self, operators, rho, mu, transform=None, advection=None):
         self.operators, self.grid = operators, operators.grid
         self.rho, self.mu = rho, mu
         self.transform = transform
+        self.advection = advection
+        if advection is not None:  # then products are not symmetric
+            self.defaults = {**self.defaults, "ksp_type": "fgmres"}
         self.interval = None
         self.matrix = operators.laplacian.duplicate()
         self.matrix.setOption(PETSc.Mat.Option.SPD, True)
@@ -62,6 +69,8 @@ class Momentum:
 
     def elimination_pays(self, interval):
         """Whether conjugate gradients with the stresses eliminated are the default."""
+        if self.advection is not None:
+            return False
         diffusion = np.sqrt(self.mu * interval / self.rho)
         return diffusion <= FARTHEST * min(self.grid.dx, self.grid.dy)
 
@@ -81,8 +90,10 @@ class Momentum:
         """Set the right-hand sides of what is not the momentum equation: here none."""
 
     def mult(self, x, y):
-        """y = A0 x for lists of blocks."""
+        """y = A0 x, or (A0 + rho N) x with advection, for lists of blocks."""
         self.matrix.mult(x[0], y[0])
+        if self.advection is not None:
+            self.advection.add(x[0], y[0])
 
     def solve(self, rhs, velocity, pressure=None):
         """Solve A0 w = rhs exactly, by transforms."""

@@ -1,5 +1,7 @@
 """Neumann problem for the pressure increment."""
 
+from petsc4py import PETSc
+
 from . import krylov
 
 DEFAULTS = {
@@ -66,3 +68,15 @@ class PoissonSolver:
         for part in (self.ksp, self.transform, self._rhs):
             if part is not None:
                 part.destroy()
+
+
+def poisson_solver(operators, fft):
+    """The solver of a run: by transforms, loaded only then, or by an iteration.  Collective.
+
+    A preconditioner that the user has chosen goes before the transforms.
+    """
+    if not fft or PETSc.Options("poisson_").hasName("pc_type"):
+        return PoissonSolver(operators)
+    from .transforms.poisson import PoissonTransform
+
+    return PoissonSolver(operators, transform=PoissonTransform(operators.grid))

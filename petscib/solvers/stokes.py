@@ -1,7 +1,6 @@
 """The fluid's part of the coupled system: velocity and pressure together."""
 
-from . import krylov
-from .momentum import VELOCITY_DEFAULTS, Momentum
+from .momentum import Momentum
 from .poisson import PoissonSolver
 
 POISSON_DEFAULTS = {"ksp_type": "preonly", "pc_type": "gamg", "mg_coarse_sub_pc_type": "svd"}
@@ -21,6 +20,8 @@ class Stokes(Momentum):
     rho, mu : float
     transform : StokesTransform, optional
         Exact inverse; without it, multigrid.
+    advection : Advection, optional
+        As in Momentum.
     """
 
     name, prefix = "coupled", "coupled_"
@@ -32,8 +33,8 @@ class Stokes(Momentum):
     }
     symmetric = False
 
-    def __init__(self, operators, rho, mu, transform=None):
-        super().__init__(operators, rho, mu, transform)
+    def __init__(self, operators, rho, mu, transform=None, advection=None):
+        super().__init__(operators, rho, mu, transform, advection)
         self._poisson = None
         self._slope = self.grid.velocity_vector()
         self._excess = self.grid.pressure_vector()

@@ -21,6 +21,9 @@ symmetric, with A the momentum matrix or the coupled one.  Four iterations solve
 `alone`
     Without membrane forces.
 
+With implicit advection A is not symmetric.  `skew` puts it around `force`, and around `alone` with
+transforms; in the others it is part of A, and FGMRES takes the place of conjugate gradients.
+
 The relative tolerance means the same in all: the power of the error, as the preconditioner tells
 it, relative to that of the right-hand side.
 """
@@ -30,10 +33,17 @@ from dataclasses import dataclass
 import numpy as np
 from petsc4py import PETSc
 
+from ..errors import InputError
 from .alone import Alone
 from .block import Block
 from .elimination import Elimination
 from .force import Force
+from .skew import Skew
+
+# PETSc's Krylov methods for symmetric matrices.
+NEED_SYMMETRY = frozenset((
+    "cg", "fcg", "pipecg", "pipecgrr", "pipecg2", "pipelcg", "pipeprcg", "pipefcg", "groppcg",
+    "nash", "stcg", "gltr", "qcg", "minres", "symmlq", "cr", "pipecr"))
 
 
 @dataclass
@@ -48,11 +58,14 @@ class Stage:
         Over all cells; only the coupled system sets it.
     stress : ndarray
         m, on rank 0; without entries elsewhere.
+    load : ndarray, shape (M, 2), or 0
+        Given forces on the markers at the stage, which the fluid's right-hand side holds already.
     """
 
     velocity: PETSc.Vec
     pressure: PETSc.Vec
     stress: np.ndarray
+    load: np.ndarray = 0.0
 
 
 class ImplicitSystem:
@@ -76,23 +89,41 @@ class ImplicitSystem:
     kernel : Kernel
     corrected : bool
         Whether the kink correction is on.
+    interval : float
+        The usual theta dt, by which the default iteration is chosen.
     """
 
-    def __init__(self, fluid, membranes, kernel, corrected):
+    def __init__(self, fluid, membranes, kernel, corrected, interval):
         self.fluid, self.membranes = fluid, membranes
-        self.kernel, self.corrected = kernel, corrected
-        self._iteration = None
+        self._choice = membranes, kernel, corrected, interval
+        self._iteration, self._version = self._choose(*self._choice), None
 
-    def _choose(self, interval):
-        """The iteration for a first theta dt = `interval`."""
-        fluid, membranes, kernel = self.fluid, self.membranes, self.kernel
+    def _choose(self, membranes, kernel, corrected, interval):
+        """The iteration, with advection around it or part of it."""
+        fluid = self.fluid
+        iteration = self._choose_symmetric(membranes, kernel, corrected, interval)
+        if fluid.advection is None:
+            return iteration
+        if isinstance(iteration, (Force, Alone)) and fluid.transform is not None:
+            return Skew(iteration, fluid)
+        name = PETSc.Options(fluid.prefix).getString("ksp_type", "")
+        if name in NEED_SYMMETRY:
+            raise InputError(
+                f"-{fluid.prefix}ksp_type {name}: implicit advection makes the system "
+                "unsymmetric; allowed: fgmres, gmres, bcgs and others that do without, or -fft"
+            )
+        return iteration
+
+    def _choose_symmetric(self, membranes, kernel, corrected, interval):
+        fluid = self.fluid
         if membranes is None or not membranes.act:
             return Alone(fluid)
-        if not self.corrected:
+        if not corrected:
             return Elimination(fluid, membranes, kernel, literal=True)
         exact = fluid.transform is not None
         default = "cg" if exact or fluid.elimination_pays(interval) else "fgmres"
-        if "cg" not in PETSc.Options(fluid.prefix).getString("ksp_type", default):
+        eliminates = exact or fluid.symmetric
+        if not eliminates or "cg" not in PETSc.Options(fluid.prefix).getString("ksp_type", default):
             return Block(fluid, membranes, kernel)
         return (Force if exact else Elimination)(fluid, membranes, kernel)
 
@@ -107,8 +138,7 @@ class ImplicitSystem:
             Kept, and set by `finish`.
         """
         self._rhs, self._stage = rhs, stage
-        if self._iteration is not None:
-            self._iteration.begin(rhs, stage)
+        self._iteration.begin(rhs, stage)
 
     def update(self, interval, operators=None, stress=None):
         """Set the system for theta dt = `interval` and a configuration of the membranes.
@@ -121,10 +151,20 @@ class ImplicitSystem:
         stress : ndarray, optional
             m0, that of the step's start.
         """
-        if self._iteration is None:
-            self._iteration = self._choose(interval)
-            self._iteration.begin(self._rhs, self._stage)
+        if self.membranes is not None and self.membranes.varies:
+            self._follow(stress)
         self._iteration.update(interval, operators, stress)
+
+    def _follow(self, stress):
+        """Start anew where the membranes have got other stresses."""
+        version = self.fluid.grid.comm.tompi4py().bcast(self.membranes.version)
+        if version != self._version:
+            self._iteration.destroy()
+            self._iteration = self._choose(*self._choice)
+            if len(stress) != len(self._stage.stress):  # in the middle of a step
+                self._stage.stress = stress
+            self._iteration.begin(self._rhs, self._stage)
+        self._version = version
 
     def iterate(self, accuracy=None):
         """Solve so far that the markers' motion holds.  Returns the iterations.
@@ -158,8 +198,15 @@ class ImplicitSystem:
         self.finish()
         return iterations
 
+    def forget(self):
+        """Drop what depends on earlier steps and is in no checkpoint.
+
+        When this is called as one is written, a restart from it is the uninterrupted run.
+        """
+        if isinstance(self._iteration, (Force, Skew)):
+            self._iteration.forget()
+
     def destroy(self):
         """Free the solvers.  Collective."""
-        if self._iteration is not None:
-            self._iteration.destroy()
+        self._iteration.destroy()
         self.fluid.destroy()

@@ -2,8 +2,8 @@
 
 The vesicle (0.1, 0.5) in fluid at rest, dt = h, scheme mbe: with the membranes' stresses eliminated
 (GAMG), with a block iteration (GAMG block) and by transforms (fft), on 1 and 2 ranks.  Beside it
-the coupled schemes, other multigrid than ours, one fast solve of the fluid's matrix (the floor), the
-method without the kink correction, factored (literal) and by plain CG and GAMG on the assembled
+the coupled schemes, other multigrid than ours, one fast solve of the fluid's matrix (the floor),
+the method without the kink correction, factored (literal) and by plain CG and GAMG on the assembled
 matrix, and the explicit scheme (Hu & Lai, Table 3).
 All is measured anew at each call, since only ratios from one run mean something on a busy machine.
 """
@@ -16,6 +16,8 @@ from math import log
 
 import numpy as np
 
+from ..output.plots import GREY
+from ..schemes.registry import SCHEMES
 from . import cputime, report
 from .campaign import Campaign
 from .runs import Run
@@ -91,7 +93,7 @@ class Case:
         """Options of the run."""
         steps = WARM_UP + (8 if self.cells <= 256 else 4)
         dt = 2 / self.cells
-        if self.scheme == "ep":
+        if not SCHEMES[self.scheme].implicit:
             dt = cputime.PAPER_EXPLICIT_DT[self.cells] * EXPLICIT_FRACTION
         if self.solver in WITHOUT:
             steps = WARM_UP + 1
@@ -235,7 +237,8 @@ def _steps_table(records):
     return (
         f"Medians over the steps after the first {WARM_UP}; milliseconds. Iterations: momentum + "
         "Poisson (mbe, ep), coupled (be), coupled + tangent (gbe, gcn). Model: factorisations in "
-        "marker space. Solve: CG or FGMRES with its preconditioner. Rest: interpolation, forces, diagnostics, output. Times faster: by "
+        "marker space. Solve: CG or FGMRES with its preconditioner. Rest: interpolation, forces, "
+        "diagnostics, output. Times faster: by "
         "the fastest steps, as other work on the machine only adds time. Memory: most that all "
         "ranks held, interpreter and libraries (some 100 MB a rank) included. "
         f"{os.cpu_count()} cores; at the end of the benchmark {os.getloadavg()[0]:.1f} processes "
@@ -337,7 +340,7 @@ def _draw(path, records):
         _line(seconds, records, [Case(LITERAL, count, 1e9) for count in cells], "step_seconds",
               label="literal", color=report.PURPLE, marker="v")
         _line(seconds, records, ours, "fast_solve_seconds", label="one fast solve (floor)",
-              color=report.GREY, marker="x")
+              color=GREY, marker="x")
         _line(seconds, records, [Case(PLAIN, count, 1e5) for count in cells], "step_seconds",
               label="plain CG+GAMG, sigma0 1e5", color=report.GREEN, marker="^")
         paper = [count for count in cells if count in cputime.PAPER]
@@ -383,7 +386,7 @@ def _draw_shares(axis, records, cases):
         bottom += spent / floors
     steps = np.array([records[case]["step_seconds"] for case in known]) / floors
     axis.bar(names, np.maximum(steps - bottom, 0.0), bottom=bottom, label="rest",
-             color=report.GREY)
+             color=GREY)
     axis.set_title("a step in fast solves, fft, 1 rank")
     axis.set_xlabel("cells across")
     axis.legend()

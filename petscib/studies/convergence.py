@@ -8,10 +8,10 @@ import sys
 
 import numpy as np
 
+from ..schemes.registry import IMPLICIT, SCHEMES
 from . import compare, report
 from .campaign import Campaign
 
-SCHEMES = "mbe", "mcn", "be", "cn", "gbe", "gcn"
 VESICLE = dict(scene="relaxation", axes=(0.2, 0.5), sigma0=1e5, bending=0.01, ts_max_time=0.125,
                fft=True)
 QUANTITIES = {
@@ -52,7 +52,7 @@ def main(arguments=None):
     return campaign.exit_status
 
 
-def study(campaign, cells, finest, schemes=SCHEMES):
+def study(campaign, cells, finest, schemes=IMPLICIT):
     """Make the runs and the results; returns the rows of the CSV."""
     declared = {
         (scheme, count): dict(VESICLE, scheme=scheme, stag_grid_x=count, ts_dt=0.5 / count)
@@ -133,7 +133,7 @@ def _draw(path, cells, measured):
     with report.picture(path, 13, 3.6, columns=len(QUANTITIES)) as (figure, axes):
         for axis, (quantity, label) in zip(axes[0], QUANTITIES.items()):
             for scheme in dict.fromkeys(scheme for scheme, _ in measured):
-                style = report.SCHEME_STYLES[scheme]
+                style = SCHEMES[scheme].style
                 axis.loglog(cells, _gaps(measured[scheme, quantity]), label=scheme, **style)
                 theirs = paper(scheme, quantity, cells)
                 if any(theirs):

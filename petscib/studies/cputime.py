@@ -6,10 +6,10 @@ takes the largest time step that `maxstep` found for it, and only 100 of them.
 
 import sys
 
+from ..schemes.registry import SCHEMES
 from . import report
 from .campaign import Campaign
 
-SCHEMES = "ep", "mbe", "mcn", "be", "cn", "gbe", "gcn"
 END = 1.0
 EXPLICIT_DT = {128: 5.1e-7, 256: 1.35e-7, 512: 5.4e-8}
 # Hu & Lai's Table 3, by cells: time step of EP; seconds a step, and in total, of all.
@@ -50,7 +50,7 @@ def study(campaign, cells, explicit_steps, implicit_steps, time_limit, schemes=S
     """
     declared = {
         (count, scheme): declare(scheme, count,
-                                 explicit_steps if scheme == "ep" else implicit_steps)
+                                 implicit_steps if SCHEMES[scheme].implicit else explicit_steps)
         for count in cells for scheme in schemes
     }
     outcomes = campaign.run_all(declared, time_limit)
@@ -65,7 +65,7 @@ def study(campaign, cells, explicit_steps, implicit_steps, time_limit, schemes=S
 def declare(scheme, cells, steps):
     """Options of one run."""
     dt = 2 / cells
-    if scheme == "ep":
+    if not SCHEMES[scheme].implicit:
         dt = EXPLICIT_DT.get(cells, EXPLICIT_DT[128] * (128 / cells) ** 1.6)
     end = END if steps is None else min(END, steps * dt)
     return dict(scene="stiff", scheme=scheme, sigma0=1e9, stag_grid_x=cells, fft=True, ts_dt=dt,
@@ -100,7 +100,7 @@ def _markdown(records, ranks):
         else:
             total += star
         dt, paper_dt = report.number(one["dt"]), PAPER_EXPLICIT_DT.get(one["cells"])
-        if one["scheme"] == "ep" and paper_dt:
+        if not SCHEMES[one["scheme"]].implicit and paper_dt:
             dt += f" ({report.number(paper_dt)})"
         rows.append([f"{one['cells']}^2", one["scheme"], dt, step, total, one["status"]])
     return text + "\n" + report.markdown_table(
@@ -127,7 +127,7 @@ def _line(axis, group, name, label, line, **style):
     known = [one for one in group if one.get(name)]
     if known:
         axis.loglog([one["cells"] for one in known], [one[name] for one in known], linestyle=line,
-                    label=label, **report.SCHEME_STYLES[known[0]["scheme"]], **style)
+                    label=label, **SCHEMES[known[0]["scheme"]].style, **style)
 
 
 if __name__ == "__main__":

@@ -12,10 +12,10 @@ import sys
 
 import numpy as np
 
+from ..schemes.registry import SCHEMES
 from . import report, runs
 from .campaign import Campaign
 
-SCHEMES = "ep", "mbe", "mcn", "be", "cn", "gbe", "gcn"
 STIFFNESSES = 1e7, 1e8, 1e9
 END = 1.0
 TOLERANCE = 0.01
@@ -76,20 +76,20 @@ def study(campaign, cells, stiffnesses, explicit_steps, octave, time_limit, sche
              for scheme in schemes]
     for number, (count, sigma0, scheme) in enumerate(cases, 1):
         h = 2 / count
-        if scheme == "ep":
+        if not SCHEMES[scheme].implicit:
             middle = explicit_guess(count, sigma0)
             low, high = middle / EXPLICIT_SPAN, middle * EXPLICIT_SPAN
         else:
             low, high = smallest * h, min(LARGEST * h, END)
 
         def make(dt, number=number, count=count, sigma0=sigma0, scheme=scheme):
-            end = explicit_steps * dt if scheme == "ep" else END
+            end = END if SCHEMES[scheme].implicit else explicit_steps * dt
             return campaign.run(
                 f"{scheme} sigma0 {sigma0:g} {count}^2 dt {dt:.3g}",
                 declare(scheme, sigma0, count, dt, end), time_limit, f"{number}/{len(cases)}")
 
         # The few steps of ep have no end that would mean anything.
-        for criterion in (ALWAYS,) if scheme == "ep" else (ALWAYS, AT_END):
+        for criterion in (ALWAYS, AT_END) if SCHEMES[scheme].implicit else (ALWAYS,):
             record = dict(scheme=scheme, sigma0=sigma0, cells=count, criterion=criterion,
                           paper_dt=paper(scheme, sigma0, count))
             try:
@@ -233,7 +233,7 @@ def _draw_panel(axis, records):
     cells = sorted({one["cells"] for one in records})
     schemes = list(dict.fromkeys(one["scheme"] for one in records))
     for k, scheme in enumerate(schemes):
-        style = report.SCHEME_STYLES[scheme]
+        style = SCHEMES[scheme].style
         group = [one for one in records if one["scheme"] == scheme]
         # Side by side, since several schemes share the same limit.
         places = np.array([one["cells"] for one in group]) * 1.05 ** (k - len(schemes) / 2)

@@ -4,18 +4,9 @@ import csv
 import os
 from contextlib import contextmanager
 
-from ..output.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, STYLE, VERMILLION
+from ..output.plots import BLUE, GREEN, ORANGE, PURPLE, SKY, STYLE, VERMILLION
 
 # One look for a scheme in every picture.
-SCHEME_STYLES = {
-    "ep": dict(color=GREY, marker="x"),
-    "mbe": dict(color=BLUE, marker="o"),
-    "mcn": dict(color=SKY, marker="s"),
-    "be": dict(color=ORANGE, marker="^"),
-    "cn": dict(color=VERMILLION, marker="v"),
-    "gbe": dict(color=GREEN, marker="D"),
-    "gcn": dict(color=PURPLE, marker="P"),
-}
 SERIES_COLOURS = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY)
 
 

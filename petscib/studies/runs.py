@@ -138,12 +138,13 @@ class Outcome:
         return float(walls[-1] - walls[0]) / self.steps if len(walls) > 1 else None
 
     def final(self):
-        """Arrays of final.h5: u, v, p and markers X."""
+        """Arrays of final.h5: u, v, p and, with a vesicle, its markers X."""
         import h5py
 
         with h5py.File(os.path.join(self.folder, "final.h5"), "r") as file:
             found = {name: file[f"fluid/{name}"][...] for name in "uvp"}
-            found["X"] = file["vesicle_0/X"][...]
+            if "vesicle_0" in file:
+                found["X"] = file["vesicle_0/X"][...]
         return found
 
 

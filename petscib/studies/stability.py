@@ -12,10 +12,10 @@ import numpy as np
 
 from ..coupling.kernels import KERNELS
 from ..membranes.shapes import ellipse_perimeter
+from ..schemes.registry import SCHEMES
 from . import report, runs
 from .campaign import Campaign
 
-SCHEMES = "ep", "mbe", "mcn", "be", "cn", "gbe", "gcn"
 CELLS = 64
 H = 2 / CELLS
 AXES = (0.1, 0.5)
@@ -75,6 +75,12 @@ def cases():
     for rate, ratio, quick in ((100, 0.01, False), (1000, 0.001, True), (1000, 0.01, False)):
         found.append(Case("shear", f"rate {rate:g}, dt {ratio:g} h, sigma0 1e9", dict(
             flow="shear", shear_rate=float(rate), ts_dt=ratio * H, sigma0=1e9), quick))
+    # The walls of the box move by the CFL number of cells in a step.
+    for advection, cfl, cell_reynolds, quick in (
+        ("explicit", 0.5, 10, True), ("implicit", 0.5, 10, False), ("implicit", 2, 10, True),
+        ("implicit", 10, 1, False), ("implicit", 10, 10, False)):
+        found.append(Case("advection", f"{advection}, CFL {cfl:g}, cell Re {cell_reynolds}", dict(
+            flow="shear", advection=advection, rho=cell_reynolds / H, ts_dt=cfl * H), quick))
     for name in ("rho", "mu"):
         for power, quick in ((-4, True), (-2, False), (2, False), (4, True)):
             found.append(Case("fluid", f"{name} 1e{power}", {name: 10.0**power}, quick))
@@ -138,7 +144,7 @@ def study(campaign, chosen, steps=None, time_limit=900.0, schemes=SCHEMES):
 def declare(case, scheme, steps=None):
     """Options of one run."""
     options = {**BASE, "scheme": scheme, **case.options}
-    if scheme == "ep":  # it takes its force from the markers, and has no energy law
+    if not SCHEMES[scheme].implicit:  # it takes its force from the markers, and has no energy law
         options.pop("stretch", None)
     else:
         options.update(LEDGER)

@@ -10,10 +10,10 @@ import sys
 
 import numpy as np
 
+from ..schemes.registry import SCHEMES
 from . import compare, report
 from .campaign import Campaign
 
-SCHEMES = "ep", "mbe", "mcn", "be", "cn", "gbe", "gcn"
 LONG_AXIS = 0.5
 VESICLE = dict(axes=(0.2, LONG_AXIS), bending=0.01, fft=True)
 CASES = {
@@ -62,7 +62,7 @@ def study(campaign, cells, finest, implicit_steps, explicit_steps, time_limit,
         for sigma0 in stiffnesses:
             references[case, sigma0] = declare(case, sigma0, "gcn", finest, 0.25)
             for scheme in schemes:
-                explicit = scheme == "ep"
+                explicit = not SCHEMES[scheme].implicit
                 if explicit and sigma0 > EXPLICIT_STIFFNESS:
                     continue
                 for count in cells:
@@ -182,7 +182,7 @@ def _draw_panel(axis, records, name):
             axis.loglog([one["seconds"] for one in group], [one[name] for one in group],
                         linewidth=0.8, markersize=4 + 2 * sizes.index(size),
                         label=scheme if group and size == group[0]["cells"] == sizes[-1] else None,
-                        **report.SCHEME_STYLES[scheme])
+                        **SCHEMES[scheme].style)
 
 
 if __name__ == "__main__":

@@ -15,14 +15,14 @@ class Tension:
         Stretching without tension at the half points.
     """
 
-    name = "tension"
+    name, linear = "tension", False
 
     def __init__(self, curves, sigma0, rest):
         self.curves, self.sigma0, self.rest = curves, sigma0, rest
         self._root = np.sqrt(sigma0 * curves.edge_ds)
         self.columns = (2 * curves.edges[:, :, None] + np.arange(2)).reshape(-1, 4)
 
-    def stress(self, markers, stretch):
+    def stress(self, markers, stretch, time=0.0):
         """sqrt(sigma0 ds) (|X_s| - rest) for a stretching |X_s|, shape (H,)."""
         return self._root * (stretch - self.rest)
 
@@ -46,5 +46,6 @@ class Tension:
         return self.sigma0 * (stretch - self.rest)
 
     def stretch_rate(self, stress_rate):
-        """Rate of stretching at the half points, from that of the stress."""
-        return stress_rate / self._root
+        """Rate of stretching at the half points, from that of the stress; 0 without tension."""
+        return np.divide(stress_rate, self._root, out=np.zeros_like(stress_rate),
+                         where=self._root > 0)

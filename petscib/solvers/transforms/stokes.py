@@ -7,7 +7,7 @@ from ...fluid.operators import assemble
 from .bases import X, Y, corner_bases, given_places, velocity_fields
 from .poisson import PoissonTransform
 from .slabs import Slabs, transform
-from .stream import Spectrum, net_flows
+from .stream import Spectrum
 from .windows import extent
 
 

@@ -98,7 +98,7 @@ class HelmholtzWindow:
         extents = None
         if grid.comm.rank == 0:
             extents = np.array([
-                [extent(*line, periodic) for *line, periodic in zip(part, size, grid.periodic[::-1])]
+                [extent(*line, wraps) for *line, wraps in zip(part, size, grid.periodic[::-1])]
                 for part, size in zip(points, counts)
             ])
         extents = grid.comm.tompi4py().bcast(extents)  # by field, direction, start and length
