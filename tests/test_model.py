@@ -129,7 +129,7 @@ def test_factorisation_that_fails_says_so_in_place_of_an_answer():
 def test_nothing_is_factored_where_there_is_nothing():
     direct = Cholesky("test_")
     direct.factor(csr_matrix((0, 0)))
-    assert direct.solve(np.empty(0)).shape == (0,) and direct.ksp is None
+    assert direct.solve(np.empty(0)).shape == (0,) and direct._matrix is None
     direct.destroy()
 
 

@@ -47,7 +47,7 @@ def study(campaign, cells, stiffnesses, solvers=tuple(SOLVERS)):
     """Make the runs and the results; returns the rows of the CSV."""
     declared = {
         (solver, count, sigma0): dict(
-            COMMON, stag_grid_x=count, sigma0=sigma0, **SOLVERS[solver]
+            COMMON, stag_grid_x=count, ts_dt=2 / count, sigma0=sigma0, **SOLVERS[solver]
         )
         for solver in solvers for count in cells for sigma0 in stiffnesses
     }
