@@ -48,9 +48,12 @@ class LocalError:
     ----------
     problem : Problem
         With membranes.
+    order : int
+        Of the scheme; its damped first steps are of first order.
     """
 
-    def __init__(self, problem):
+    def __init__(self, problem, order):
+        self.order = order
         self.curves = problem.membranes.curves
         self.comm = problem.grid.comm.tompi4py()
 
@@ -78,7 +81,8 @@ class LocalError:
             if PATH in start.history:
                 times = np.concatenate((start.history[TIMES], times))
                 path = np.concatenate((start.history[PATH], path))
-        times, path = times[-step.order - 1:], path[-step.order - 1:]
+        kept = (1 if step.parts else self.order) + 1
+        times, path = times[-kept:], path[-kept:]
         end.history[TIMES], end.history[PATH] = times, path
         found = self._found(step, times, path) if len(path) else None
         return self.comm.bcast(found)

@@ -59,8 +59,6 @@ class Step:
     ----------
     dt, theta : float
         Time step, and where in it the stage lies (1: its end, 1/2: its middle).
-    order : int
-        Order of the markers' positions in dt.
     start, end : State
         The end has new vectors and arrays; those of the start are untouched.
     stage : PETSc.Vec
@@ -84,7 +82,6 @@ class Step:
 
     dt: float
     theta: float
-    order: int
     start: State
     end: State
     stage: PETSc.Vec

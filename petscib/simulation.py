@@ -111,7 +111,10 @@ class Simulation:
             on_root(self.comm, lambda: self._check_start(header))
             self._make_scheme()
             self.diagnostics = Diagnostics(self.problem, self.progress.reference or None)
-            self.local_error = LocalError(self.problem) if settings.ts_rtol is not None else None
+            self.local_error = None
+            if settings.ts_rtol is not None:
+                order = schemes.SCHEMES[settings.scheme].order
+                self.local_error = LocalError(self.problem, order)
         changed = header and self.progress.dt != header.options["ts_dt"]
         self.step_size = StepSize(
             settings.ts_dt,

@@ -110,11 +110,6 @@ class Geometric(StageScheme):
         step.end.history.update(remembered(state.history, time, **{MOTION: motion}))
         return step
 
-    @property
-    def order(self):
-        """Of the markers' positions in dt."""
-        return 2 if self.theta < 1 else 1
-
     def _move(self, interpolation, markers):
         if interpolation is not None:
             interpolation.destroy()

@@ -35,7 +35,6 @@ class StageScheme:
     """
 
     advice = "try a smaller -ts_dt"
-    order = 1  # of the markers' positions in dt: in most, the force acts where they have been
 
     def __init__(self, problem, theta, fluid, dt, acts=True):
         self.problem = problem
@@ -157,7 +156,7 @@ class StageScheme:
             history["velocity_rate"] = rate
         end = State(state.step + 1, state.time + dt, velocity, stage.pressure, markers, stretch,
                     history)
-        return Step(dt, self.theta, self.order, state, end, stage.velocity, marker_velocity=motion,
+        return Step(dt, self.theta, state, end, stage.velocity, marker_velocity=motion,
                     transport=self._transport, **rest)
 
     def forget(self):

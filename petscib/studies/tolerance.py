@@ -15,6 +15,7 @@ import numpy as np
 
 from ..membranes.shapes import ellipse_perimeter
 from ..output import tables
+from ..schemes.registry import SCHEMES
 from . import report
 from .campaign import Campaign
 
@@ -165,7 +166,7 @@ def _markdown(records, cells):
     for case, scheme in dict.fromkeys((one["case"], one["scheme"]) for one in records):
         among = [one for one in records if (one["case"], one["scheme"]) == (case, scheme)]
         power = slope([one for one in among if one["rtol"]])
-        order = {"gcn": 2}.get(scheme, 1)
+        order = SCHEMES[scheme].order
         rows.append([case, scheme, report.number(power, 2), f"{order}/{order + 1}"])
     return text + (
         "\nPower of the tolerance with which the error falls; p/(p + 1) for a scheme of order p "
@@ -186,14 +187,14 @@ def _draw(path, records, cases):
 
 
 def _lines(left, right, group, scheme):
-    style = report.SCHEME_STYLES[scheme]
+    style = SCHEMES[scheme].style
     free = [one for one in group if one["rtol"]]
     steady = [one for one in group if one["dt"]]
     errors = [one["error"] for one in free]
     left.loglog([one["rtol"] for one in free], errors, label=scheme, **style)
     right.loglog([one["seconds"] for one in free], errors, label=f"{scheme}, by tolerance", **style)
     right.loglog([one["seconds"] for one in steady], [one["error"] for one in steady],
-                 label=f"{scheme}, fixed steps", **style, linestyle=":", mfc="none")
+                 label=f"{scheme}, fixed steps", linestyle=":", mfc="none", **style)
 
 
 if __name__ == "__main__":
