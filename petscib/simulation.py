@@ -250,7 +250,11 @@ class Simulation:
     def _next_dt(self):
         """The time step, shortened to end on time but for round-off."""
         dt, left = self.step_size.dt, self.settings.ts_max_time - self.state.time
-        return left if left < (1 - ROUND_OFF) * dt else dt
+        if left < (1 - ROUND_OFF) * dt:
+            return left
+        # Of steps that vary, two may share what is left, so that none is very short.
+        shared = self.settings.ts_rtol is not None and (1 + ROUND_OFF) * dt < left < 2 * dt
+        return left / 2 if shared else dt
 
     def _advance(self):
         """Take a step, with -ts_adapt or -ts_rtol in as many attempts as it needs.  Collective."""

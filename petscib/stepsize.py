@@ -13,8 +13,9 @@ SMALLEST = 1e-3  # of the largest step: below it, halving a failed one once more
 GROW_AFTER = 5  # good steps in a row after a failure
 
 # With a tolerance, steps lie within these multiples of -ts_dt.  The default one is about the cell
-# size over the speed, and 64 times that crosses the box: beyond, only iterations would grow.
-LARGEST_FACTOR, SMALLEST_FACTOR = 64.0, 2.0**-20
+# size over the speed, and 64 times that crosses the box: beyond, only iterations would grow.  An
+# impulsive start asks for first steps of about the tolerance, relative to size over speed.
+LARGEST_FACTOR, SMALLEST_FACTOR = 64.0, 2.0**-30
 SETTLED = 3  # good steps after which the error is that of the present time step
 SHARE = 0.5  # of the tolerance that the error to be expected of the next larger step may take
 

@@ -98,7 +98,7 @@ def test_the_time_step_follows_the_error():
     for _ in range(99):
         step.accept(0.0)
     assert step.dt == LARGEST_FACTOR
-    assert not step.repeat(1.0, 1e9, 1)
+    assert not step.repeat(1.0, 1e20, 1)
     assert not StepSize(1.0, rtol=1e-4).reject(1.0)  # a failure is another matter
     while step.repeat(step.dt, 2e-4, 1):
         pass
@@ -113,7 +113,9 @@ def test_a_run_by_tolerance(tmp_path, scheme, tolerance, most):
     dt, error = found["dt"][1:], found["local_error"][1:]
     assert found["time"][-1] == pytest.approx(0.5, rel=1e-12) and 8 < len(dt) < most
     assert (error <= tolerance).all() and error[1:].max() > tolerance / 20
-    powers = np.log2(dt[:-1] / 0.03)
+    # Two steps may share the end, so that neither is very short.
+    powers = np.log2(dt[:-2] / 0.03)
+    assert dt[-1] >= 0.5 * dt[-3] or dt[-2] == dt[-3]
     np.testing.assert_allclose(powers, np.round(powers), atol=1e-10)
     # It has short steps near its start, and ends with long ones.
     assert dt.min() < 0.03 and dt[:-1].max() >= 4 * dt.min() and np.diff(powers).max() == 1

@@ -27,7 +27,7 @@ CASES = {
 }
 # Four decades of each, of about the same cost.
 TOLERANCES = {"gcn": (1e-3, 1e-4, 1e-5, 1e-6, 1e-7), "mbe": (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)}
-REFERENCE = 1e-9
+REFERENCE = 1e-9  # its error is some 30 times below the smallest of the others
 FIXED = {"gcn": range(-2, 7), "mbe": range(0, 8)}  # time steps h / 2^k
 COLUMNS = ("case", "scheme", "rtol", "dt", "status", "reason", "steps", "seconds", "error",
            "fixed_seconds", "saving")

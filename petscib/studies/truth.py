@@ -1,0 +1,369 @@
+"""What is computed against the right answers, by grid, with and without the kink correction.
+
+Three problems whose answers other methods have given to four or five digits (`reference`):
+vesicles that turn and tread in shear flow, over reduced area and time; one that relaxes, its shape
+and bending energy over time; and the least bending energy of each reduced area.  The scheme is gcn,
+density 1e-3, at which the flow is Stokes flow.  Treading vesicles take dt = h, without the
+correction 2 h, the others steps by -ts_rtol.
+
+Methods: the kernel bspline43, and the paper's own, yang, both with kink correction and area kept;
+and the paper's, yang with neither.
+"""
+
+import os
+import sys
+
+import numpy as np
+
+from ..membranes.geometry import perimeter
+from ..membranes.shapes import ellipse_perimeter
+from ..output.plots import BLUE, GREEN, VERMILLION
+from . import compare, report
+from .campaign import Campaign
+from .reference import LEAST_ENERGY, RELAXATION, TREADING, TURNING
+from .tanktreading import ellipse_axes
+
+BEST, YANG, PAPER = "bspline43, corrected", "yang, corrected", "yang, uncorrected"
+METHODS = {
+    BEST: dict(delta="bspline43"),
+    YANG: dict(delta="yang"),
+    PAPER: dict(delta="yang", kink_correction=False, conserve_area=False),
+}
+STYLES = {
+    BEST: dict(color=BLUE, marker="o"), YANG: dict(color=GREEN, marker="s"),
+    PAPER: dict(color=VERMILLION, marker="v"),
+}
+COMMON = dict(scheme="gcn", fft=True, rho=1e-3, sigma0=1e5, bending=0.01)
+LONG_AXIS = 0.5
+RELAXING = (0.2, LONG_AXIS)
+STRAIN = {0.1: 15.0, 0.25: 7.0, 0.4: 7.0}  # after which the inclination is steady to its digits
+EQUILIBRIUM = 40.0  # time for it; the slowest mode of the thinnest vesicle decays in about 4
+TOLERANCE = 1e-5
+COLUMNS = ("problem", "case", "method", "cells", "time", "quantity", "value", "truth", "error",
+           "relative_error")
+
+
+def main(arguments=None):
+    """Run the study; returns the exit status."""
+    campaign = Campaign.from_command_line("truth", __doc__.splitlines()[0], arguments)
+    if campaign.quick:
+        study(campaign, {BEST: (32, 64), YANG: (32, 64), PAPER: (32,)}, (0.25,), (0.125, 0.5),
+              (0.9, 0.6), (32,), 300)
+    else:
+        corrected = (32, 48, 64, 96, 128)
+        study(campaign, {BEST: corrected, YANG: corrected, PAPER: (32, 48, 64)}, tuple(TREADING),
+              tuple(RELAXATION), (0.9, 0.8, 0.7, 0.6, 0.5), (32, 64, 128), 3600)
+    return campaign.exit_status
+
+
+def study(campaign, cells, axes, times, reduced_areas, energy_cells, time_limit):
+    """Make the runs and the results; returns the records.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    cells : dict of str to tuple of int
+        Grids by method.
+    axes : tuple of float
+        Short half axes of the treading vesicles.
+    times : tuple of float
+        At which the relaxing one is looked at.
+    reduced_areas : tuple of float
+        Of which the least energy is sought.
+    energy_cells : tuple of int
+    time_limit : float
+        Seconds a run.
+    """
+    records, shapes = [], {}
+    for method, counts in cells.items():
+        for count in counts:
+            for short in axes:
+                outcome = campaign.run(f"treading {short:g} {method} {count}^2",
+                                       declare_treading(short, method, count), time_limit)
+                records += _treading(short, method, count, outcome)
+            before = None
+            for time in times:
+                options = declare_relaxing(RELAXING, method, count, time, before)
+                before = campaign.run(f"relaxing {method} {count}^2 to {time:g}", options,
+                                      time_limit)
+                if not before.finished:
+                    break
+                records += _relaxing(method, count, time, before)
+                shapes[method, count, time] = before.final()["X"]
+    for count in energy_cells:
+        for reduced in reduced_areas:
+            options = declare_relaxing(ellipse_axes(reduced), BEST, count, EQUILIBRIUM)
+            outcome = campaign.run(f"least energy {reduced:g} {count}^2", options, time_limit)
+            records += _least(reduced, count, outcome)
+    for one in records:
+        one["error"] = one["value"] - one["truth"]
+        one["relative_error"] = one["error"] / one["truth"]
+    rows = [[one.get(name) for name in COLUMNS] for one in records]
+    campaign.write(COLUMNS, rows, _markdown(records, shapes))
+    _draw(campaign.path("truth.png"), records)
+    return records
+
+
+def even_markers(axes, cells):
+    """An even number of them about h/2 apart: the vesicle is its own half turn, and stays so."""
+    return 2 * round(ellipse_perimeter(axes) / (2 / cells))
+
+
+def declare_treading(short, method, cells):
+    """Options of a run in shear flow."""
+    axes = short, LONG_AXIS
+    ratio = 2 if method == PAPER else 1
+    return dict(COMMON, **METHODS[method], scene="tanktreading", axes=axes, stag_grid_x=cells,
+                markers=even_markers(axes, cells), ts_dt=ratio * 2 / cells,
+                ts_max_time=STRAIN[short])
+
+
+def declare_relaxing(axes, method, cells, time, before=None):
+    """Options of a run in fluid at rest, from the start or from the end of another."""
+    options = dict(COMMON, **METHODS[method], scene="relaxation", axes=axes, stag_grid_x=cells,
+                   markers=even_markers(axes, cells), ts_rtol=TOLERANCE, ts_max_time=time)
+    if before is not None:
+        options["restart"] = os.path.join(before.folder, "final.h5")
+    return options
+
+
+def _treading(short, method, cells, outcome):
+    """Records of a run in shear flow: steady values, and the inclination on the way."""
+    if not outcome.finished:
+        return []
+    common = dict(problem="treading", case=short, method=method, cells=cells)
+    time, angle = outcome.rows["time"], outcome.rows["inclination"] % np.pi / np.pi
+    found = [
+        dict(common, time=time[-1], quantity="inclination", value=angle[-1],
+             truth=TREADING[short]["inclination"]),
+        dict(common, time=time[-1], quantity="frequency",
+             value=outcome.last("treading_frequency"), truth=TREADING[short]["frequency"]),
+    ]
+    for at, truth in TURNING.get(short, {}).items():
+        found.append(dict(common, problem="turning", time=at, quantity="inclination",
+                          value=float(np.interp(at, time, angle)), truth=truth))
+    return found
+
+
+def _relaxing(method, cells, time, outcome):
+    """Records of a relaxing vesicle at the end of a run."""
+    markers = outcome.final()["X"]
+    measured = {"energy": outcome.last("bending_energy"), **sizes(markers)}
+    return [dict(problem="relaxation", case=RELAXING[0], method=method, cells=cells, time=time,
+                 quantity=name, value=measured[name], truth=truth)
+            for name, truth in RELAXATION[time].items()]
+
+
+def sizes(markers):
+    """Half width and height of a symmetric vesicle, and half its width on the x-axis.
+
+    Between markers it is a periodic cubic spline.
+    """
+    from scipy.interpolate import CubicSpline
+
+    closed = np.concatenate((markers, markers[:1]))
+    curve = CubicSpline(np.arange(len(closed)), closed, bc_type="periodic")
+    slopes = curve.derivative()
+
+    def there(spline, axis, other):
+        """Coordinate `other` of the curve where a component of a spline vanishes."""
+        roots = CubicSpline(spline.x, spline(spline.x)[:, axis]).roots(extrapolate=False)
+        return np.abs(curve(roots)[:, other]).max()
+
+    return {"half_width": there(slopes, 0, 0), "half_height": there(slopes, 1, 1),
+            "waist": there(curve, 1, 0)}
+
+
+def _least(reduced, cells, outcome):
+    """The record of an equilibrium."""
+    if not outcome.finished:
+        return []
+    circle = 2 * np.pi**2 * COMMON["bending"] / perimeter(outcome.final()["X"])
+    return [dict(problem="least energy", case=reduced, method=BEST, cells=cells, time=EQUILIBRIUM,
+                 quantity="energy ratio", value=outcome.last("bending_energy") / circle,
+                 truth=LEAST_ENERGY[reduced])]
+
+
+def order(coarse, middle, fine):
+    """Observed order of values on three grids, each twice as fine as the one before."""
+    return float(np.log2(abs(coarse - middle) / abs(middle - fine)))
+
+
+def triples(grids):
+    """Threes of grids each twice as fine as the one before."""
+    return [(count, 2 * count, 4 * count) for count in sorted(grids)
+            if {2 * count, 4 * count} <= set(grids)]
+
+
+def _observed(records, method, problem, case, quantity, time=None):
+    """Order by the finest three grids, as text; a dash without three."""
+    values = {one["cells"]: one["value"] for one in records
+              if (one["method"], one["problem"], one["case"], one["quantity"])
+              == (method, problem, case, quantity) and time in (None, one["time"])}
+    found = triples(values)
+    return report.number(order(*(values[count] for count in found[-1])), 2) if found else "-"
+
+
+def _observed_shape(shapes, method, time):
+    """Order of the markers' positions, likewise."""
+    found = triples([count for name, count, at in shapes if (name, at) == (method, time)])
+    if not found:
+        return "-"
+    coarse, middle, fine = (shapes[method, count, time] for count in found[-1])
+    return report.number(float(np.log2(
+        compare.marker_error(coarse, middle) / compare.marker_error(middle, fine))), 2)
+
+
+def _select(records, **wanted):
+    return [one for one in records if all(one[name] == value for name, value in wanted.items())]
+
+
+def _markdown(records, shapes):
+    methods = list(dict.fromkeys(one["method"] for one in records))
+    grids = sorted({one["cells"] for one in records})
+    parts = ["Against boundary integrals (Stokes flow, shear rate 1, c_b = 0.01); scheme gcn. "
+             "Order: by three grids, each twice as fine as the one before.\n"]
+
+    def table(title, rows):
+        if rows:
+            parts.append(f"**{title}**\n\n" + report.markdown_table(
+                ["case", "truth", "method", *(f"{count}^2" for count in grids), "order"], rows))
+
+    def row(label, truth, method, among, digits, name, observed):
+        found = {one["cells"]: one[name] for one in among}
+        return [label, report.number(truth, 5), method,
+                *(report.number(found.get(count), digits) for count in grids), observed]
+
+    for quantity, name, title in (
+            ("inclination", "error", "Error of the steady inclination / pi"),
+            ("frequency", "relative_error", "Relative error of the treading frequency")):
+        table(title, [
+            row(f"axes ({short:g}, {LONG_AXIS:g})", truth[quantity], method, among, 2, name,
+                _observed(records, method, "treading", short, quantity))
+            for short, truth in TREADING.items() for method in methods
+            if (among := _select(records, problem="treading", case=short, method=method,
+                                 quantity=quantity))])
+    rows = []
+    for short in TURNING:
+        for method in methods:
+            found = {}
+            for one in _select(records, problem="turning", case=short, method=method):
+                found[one["cells"]] = max(found.get(one["cells"], 0.0), abs(one["error"]))
+            if found:
+                rows.append([f"axes ({short:g}, {LONG_AXIS:g})", "-", method,
+                             *(report.number(found.get(count), 2) for count in grids), "-"])
+    table("Largest error of the inclination / pi on the way there", rows)
+    for quantity in ("energy", "half_width", "half_height", "waist"):
+        table(f"Relaxation: relative error of the {quantity.replace('_', ' ')}", [
+            row(f"t = {time:g}", truth[quantity], method, among, 2, "relative_error",
+                _observed(records, method, "relaxation", RELAXING[0], quantity, time))
+            for time, truth in RELAXATION.items() for method in methods
+            if (among := _select(records, problem="relaxation", method=method, time=time,
+                                 quantity=quantity))])
+    rows = [[method, f"{time:g}", _observed_shape(shapes, method, time)]
+            for method, time in dict.fromkeys((name, at) for name, _, at in shapes)
+            if triples([count for name, count, at in shapes if (name, at) == (method, time)])]
+    if rows:
+        parts.append("**Relaxation: order of the markers' positions**\n\n"
+                     + report.markdown_table(["method", "time", "order"], rows))
+    table("Least bending energy over that of the circle of the same length: relative error", [
+        row(f"reduced area {reduced:g}", truth, BEST, among, 2, "relative_error",
+            _observed(records, BEST, "least energy", reduced, "energy ratio"))
+        for reduced, truth in LEAST_ENERGY.items()
+        if (among := _select(records, problem="least energy", case=reduced))])
+    return "\n".join(parts)
+
+
+def _draw(path, records):
+    with report.picture(path, 13, 7.6, rows=2, columns=3) as (figure, axes):
+        _draw_steady(axes[0, 0], records, "inclination", r"steady inclination $\theta/\pi$")
+        _draw_steady(axes[0, 1], records, "frequency", "treading frequency $f$")
+        _draw_errors(axes[0, 2], records)
+        _draw_turning(axes[1, 0], records)
+        _draw_relaxing(axes[1, 1], records)
+        _draw_least(axes[1, 2], records)
+        report.legend_below(figure, axes[0, 0], 4)
+
+
+def _draw_steady(axis, records, quantity, title):
+    areas = [one["reduced_area"] for one in TREADING.values()]
+    axis.plot(areas, [one[quantity] for one in TREADING.values()], "k_", markersize=22,
+              markeredgewidth=1.5, label="boundary integrals")
+    for method, style in STYLES.items():
+        found = _select(records, problem="treading", quantity=quantity, method=method)
+        coarsest = min((one["cells"] for one in found), default=None)
+        for one in found:
+            fine = one["cells"] != coarsest
+            axis.plot(TREADING[one["case"]]["reduced_area"], one["value"], linestyle="",
+                      markersize=6 if fine else 9, markerfacecolor=None if fine else "none",
+                      label=None if fine else method, **style)
+    _once(axis)
+    axis.set(xlabel="reduced area (hollow: coarsest grid)", ylabel=title)
+
+
+def _once(axis):
+    """Keep one entry a name for the legend."""
+    seen = set()
+    for line in axis.get_lines():
+        if line.get_label() in seen:
+            line.set_label(None)
+        seen.add(line.get_label())
+
+
+def _draw_errors(axis, records):
+    for method, style in STYLES.items():
+        for short, line in zip(TREADING, (":", "-", "--")):
+            found = _select(records, problem="treading", quantity="frequency", method=method,
+                            case=short)
+            axis.loglog([one["cells"] for one in found],
+                        [abs(one["relative_error"]) for one in found], linestyle=line, **style)
+    cells = sorted({one["cells"] for one in _select(records, problem="treading")})
+    if cells:
+        axis.set_xlim(cells[0] / 1.1, cells[-1] * 1.4)
+        axis.set_xticks(cells, [str(count) for count in cells])
+        axis.minorticks_off()
+        lines = np.array(cells, float)
+        for power in (1, 2):
+            axis.loglog(lines, 0.05 * (lines[0] / lines) ** power, color="k", linewidth=0.8,
+                        linestyle="-" if power == 1 else "--")
+            axis.annotate(f" order {power}", (lines[-1], 0.05 * (lines[0] / lines[-1]) ** power),
+                          fontsize=9, va="center")
+    axis.set(xlabel="cells across (b = 0.1 dotted, 0.25 solid, 0.4 dashed)",
+             ylabel="relative error of $f$")
+
+
+def _finest(found):
+    most = max((one["cells"] for one in found), default=None)
+    return [one for one in found if one["cells"] == most]
+
+
+def _draw_turning(axis, records):
+    for short, truth in TURNING.items():
+        axis.plot(list(truth), list(truth.values()), "k_", markersize=16, markeredgewidth=1.5)
+        for method, style in STYLES.items():
+            found = _finest(_select(records, problem="turning", case=short, method=method))
+            axis.plot([one["time"] for one in found], [one["value"] for one in found],
+                      linestyle="", **style)
+    axis.set(xlabel="time (finest grids)", ylabel=r"inclination $\theta/\pi$", xscale="log")
+
+
+def _draw_relaxing(axis, records):
+    axis.semilogx(list(RELAXATION), [one["energy"] for one in RELAXATION.values()], "k_",
+                  markersize=22, markeredgewidth=1.5)
+    for method, style in STYLES.items():
+        found = _finest(_select(records, problem="relaxation", quantity="energy", method=method))
+        axis.semilogx([one["time"] for one in found], [one["value"] for one in found],
+                      linestyle="", **style)
+    axis.set(xlabel="time (finest grids)", ylabel="bending energy, relaxing")
+
+
+def _draw_least(axis, records):
+    axis.plot(list(LEAST_ENERGY), list(LEAST_ENERGY.values()), color="k", linewidth=0.8)
+    found = _finest(_select(records, problem="least energy"))
+    axis.plot([one["case"] for one in found], [one["value"] for one in found], linestyle="",
+              **STYLES[BEST])
+    axis.set(xlabel="reduced area (finest grid)", ylabel="least bending energy / circle's")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
