@@ -2,9 +2,9 @@
 
 A vesicle (0.2, 0.5) that relaxes, and the same one treading in shear flow, by gcn and mbe on one
 grid.  Errors are those of the markers' positions over the whole run, not only at its end, where a
-relaxing vesicle has forgotten much: the largest distance from a run of gcn with so small a tolerance
-that its own error does not count, at the times of its steps, relative to the radius of the circle
-of the vesicle's perimeter.
+relaxing vesicle has forgotten much: the largest distance from a run of gcn with so small a
+tolerance that its own error does not count, at the times of its steps, relative to the radius of
+the circle of the vesicle's perimeter.
 """
 
 import os
