@@ -1,4 +1,4 @@
-"""The options: one table, from which validation, ``-help`` and the README's table come.
+"""The options: one table, from which validation, ``-help`` and the table in docs/options.md come.
 
 `read` turns PETSc's option database, as text, into a frozen `Settings`. A value given by the user
 wins over the scene's, and that over the table's default. This module needs neither PETSc nor MPI.
@@ -526,7 +526,7 @@ def help_text():
 
 
 def markdown_table():
-    """The table for the README, in Markdown."""
+    """The table of docs/options.md, in Markdown."""
     lines = []
     for group in GROUPS:
         lines += [f"**{group}**", "", "| option | meaning | allowed | default | unit |",
