@@ -19,43 +19,45 @@ def main(arguments=None):
         run failed; 130 and 143 when SIGINT and SIGTERM have stopped it.
     """
     arguments = sys.argv[1:] if arguments is None else arguments
-    asked = [word for word in arguments if word.lower() in ("-help", "--help", "-h")]
-    version = [word for word in arguments if word.lower() in ("-version", "--version")]
 
     from mpi4py import MPI
 
     from . import options, petsc, sources
     from .agreement import on_root
-    from .errors import InputError, OutputError, SolveError
+    from .errors import Error
     from .output import console
 
     world = MPI.COMM_WORLD
+    topic, arguments = options.help_asked(arguments)
+    version = [word for word in arguments if word.lower() in ("-version", "--version")]
     try:
         on_root(world, lambda: sources.check(arguments))
         # PETSc would print its own help or version, rank by rank, before ours.
-        petsc.start([word for word in arguments if word not in asked + version])
+        words = [word for word in arguments if word not in version]
+        petsc.start([*words, "-help"] if topic == "petsc" else words)
         console.protect()
         from petsc4py import PETSc
 
-        from . import installation, restart, vesicle_files
+        from . import installation
 
         if version:
             if world.rank == 0:
                 print(*(" ".join(item) for item in installation.versions().items()), sep="\n")
             return 0
-        installation.check()
         database = PETSc.Options().getAll()
         # At its end newer PETSc lists what nothing has read; the run has named that already.
         if "options_left" not in database:
             PETSc.Options()["options_left"] = "no"
-        information = options.information({**database, **dict.fromkeys(asked and ["help"], "")})
+        if topic == "petsc":
+            return _set_up(database)
+        asked = {} if topic is None else {"help": topic}
+        information = options.information({**database, **asked})
         if information is not None:
             if world.rank == 0:
                 print(information)
             return 0
-        database = vesicle_files.expand(restart.merge(database, world), world)
-        return _simulate(options.read(database), world.rank == 0)
-    except (InputError, SolveError, OutputError) as error:
+        return _simulate(database, world.rank == 0)
+    except Error as error:
         if world.rank == 0:
             print(f"petscib: {error}", file=sys.stderr, flush=True)
         return error.exit_status
@@ -66,21 +68,29 @@ def main(arguments=None):
         world.Abort(1)
 
 
-def _simulate(settings, root):
-    from .interrupt import Interrupt, exit_status
-    from .output.monitor import closing_lines
-    from .simulation import Simulation
+def _set_up(database):
+    """Only set a run up, of which PETSc prints its options for the solvers."""
+    from .library import Simulation
 
-    with Interrupt() as interrupt:
-        simulation = Simulation(settings, interrupt=interrupt)
-        try:
-            summary = simulation.run()
-        finally:
-            simulation.destroy()
+    del database["help"]
+    database.pop("output", None)
+    Simulation(**database).close()
+    return 0
+
+
+def _simulate(database, root):
+    from .interrupt import Interrupt, exit_status
+    from .library import Simulation
+    from .output.monitor import closing_lines
+
+    with Interrupt() as interrupt, Simulation(
+            interrupt=interrupt, **{"output": True, **database}) as simulation:
+        summary = simulation.run()
         if root:
             print("\n".join(closing_lines(summary)), flush=True)
-            if simulation.signal:
-                print(f"stopped early; to go on: -restart latest -output {settings.output}")
+            if interrupt.caught:
+                print("stopped early; to go on: -restart latest -output "
+                      f"{simulation.settings.output}")
         return exit_status(simulation.signal)
 
 

@@ -24,6 +24,22 @@ def on_root(comm, action):
     return result
 
 
+def everywhere(comm, action):
+    """Result of an action of all ranks; an InputError that any rank meets with, on all.
+
+    Collective.
+    """
+    result = trouble = None
+    try:
+        result = action()
+    except InputError as error:
+        trouble = ours(error)
+    trouble = next(filter(None, comm.allgather(trouble)), None)
+    if trouble is not None:
+        raise trouble
+    return result
+
+
 class Agreement:
     """Meetings of all ranks, to which a rank comes also when its work has failed.  Collective.
 

@@ -6,6 +6,7 @@ from petsc4py import PETSc
 
 from . import energy, rheology
 from .energy import Ledger
+from .errors import InputError
 from .membranes import geometry
 from .membranes.laws import LAWS
 
@@ -14,13 +15,18 @@ SHAPES = ("area", "perimeter", "area_error", "perimeter_error")
 PLACES = ("inclination", "treading_frequency", "centroid_x", "centroid_y")
 
 
-def columns(vesicles):
-    """Names of the columns for a number of vesicles: with several, those of each get a number."""
+def columns(vesicles, laws=()):
+    """Names of the columns for a number of vesicles: with several, those of each get a number.
+
+    Laws of the user's have theirs too.
+    """
     return (
         "step", "time", "dt", "local_error",
         *numbered(SHAPES, vesicles),
         "kinetic", *(f"{name}_energy" for name in LAWS), "energy",
         *(f"ledger_{name}" for name in Ledger.names()), "ledger_residual",
+        *(f"{prefix}{name}{end}" for name in laws
+          for prefix, end in (("", "_energy"), ("ledger_", ""))),
         "max_divergence", "max_speed", "cfl", "effective_viscosity", "min_gap",
         *numbered(PLACES, vesicles),
         *(f"{name}_iterations" for name in SOLVERS),
@@ -43,13 +49,27 @@ class Diagnostics:
     problem : Problem
     reference : dict of str to list, optional
         `area` and `perimeter` that the errors refer to; taken from the first state otherwise.
+    measures : dict of str to callable, optional
+        Further columns: each gives, without arguments, a number, which counts on rank 0.
+
+    Raises
+    ------
+    InputError
+        A measure has the name of a column.
     """
 
-    def __init__(self, problem, reference=None):
+    def __init__(self, problem, reference=None, measures=None):
         self.problem = problem
         self.reference = reference
+        self.measures = measures or {}
         self.vesicles = 0 if problem.membranes is None else problem.membranes.count
-        self.columns = columns(self.vesicles)
+        own = [law.name for law in problem.membranes.laws] if self.vesicles else []
+        usual = columns(self.vesicles, [name for name in own if name not in LAWS])
+        for name in self.measures:
+            if not str(name).isidentifier() or name in usual:
+                raise InputError(f"measures: {name}: not a new column's name; allowed: a word that "
+                                 "no column has")
+        self.columns = (*usual[:-1], *self.measures, usual[-1])
         self._cells = problem.grid.pressure_vector()
 
     def row(self, state, step=None, ledger=None, largest_energy=0.0):
@@ -85,6 +105,9 @@ class Diagnostics:
         if ledger is not None:
             row.update((f"ledger_{name}", value) for name, value in ledger.terms().items())
             row["ledger_residual"] = ledger.residual(max(largest_energy, energies.total))
+        for name, measure in self.measures.items():
+            value = self.problem.grid.comm.tompi4py().bcast(measure())
+            row[name] = value if value is None else float(value)
         return row
 
     def _fluid(self, state, step):

@@ -96,7 +96,8 @@ class Ledger(_ByLaw):
         return terms
 
     def __add__(self, other):
-        laws = {name: value + other.laws[name] for name, value in self.laws.items()}
+        laws = {name: self.laws.get(name, 0.0) + other.laws.get(name, 0.0)
+                for name in {**self.laws, **other.laws}}
         return Ledger(laws=laws, **{
             entry.name: getattr(self, entry.name) + getattr(other, entry.name)
             for entry in fields(self) if entry.name != "laws"
@@ -147,7 +148,8 @@ def balance(problem, step):
     if problem.advection is not None:
         ledger.advection = -dt * area * problem.advection.power(step.transport, stage)
     if problem.body_force is not None:
-        ledger.body_power = dt * area * stage.dot(problem.body_force)
+        force = problem.body_force.at(start.time + theta * dt)
+        ledger.body_power = dt * area * stage.dot(force)
 
     pressure = end.pressure
     if step.projection is not None:

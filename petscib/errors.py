@@ -1,20 +1,20 @@
 """The ways a run ends early, each with one line for the user and its own exit status."""
 
 
-class _OneLine(Exception):
-    """An error whose message stays on one line, whatever text of the user's it quotes."""
+class Error(Exception):
+    """What petscib raises: a message of one line, whatever text of the user's it quotes."""
 
     def __init__(self, message):
         super().__init__("".join(letter if letter.isprintable() else "?" for letter in message))
 
 
-class InputError(_OneLine):
+class InputError(Error):
     """What the user asked for cannot be run: one line, exit status 2."""
 
     exit_status = 2
 
 
-class SolveError(_OneLine):
+class SolveError(Error):
     """A solve failed, or the physics did: one line, exit status 3."""
 
     exit_status = 3
@@ -40,7 +40,7 @@ class Crash(SolveError):
     traceback = ""
 
 
-class OutputError(_OneLine):
+class OutputError(Error):
     """Results could not be written, as on a full disk: one line, exit status 3."""
 
     exit_status = 3
@@ -59,7 +59,7 @@ def ours(error):
     """
     while _is_petsc(error) and (error.__cause__ or error.__context__):
         error = error.__cause__ or error.__context__
-    if isinstance(error, _OneLine):
+    if isinstance(error, Error):
         return type(error)(str(error))
     if _is_petsc(error):
         # Its text is the stack of C functions, then what is wrong; each line begins "[rank] ".

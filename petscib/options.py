@@ -16,6 +16,7 @@ from petscib.coupling.kernels import KERNELS
 from petscib.errors import InputError
 from petscib.fluid.flows import FLOWS
 from petscib.schemes.registry import SCHEMES
+from petscib.own import Function, Points, is_own
 from petscib.settings import Settings, check, check_domain, resolve, text_of
 from petscib.vesicles import OWN, split
 
@@ -126,6 +127,43 @@ class Choice:
         return text.lower()
 
 
+class SceneName(Choice):
+    """A scene's name, or a file of the user's that has one."""
+
+    @property
+    def allowed(self):
+        """What is allowed, in words."""
+        return super().allowed + ", or FILE.py with a scene of one's own"
+
+    def parse(self, text):
+        """The value of a text; a ValueError says what is wrong with it."""
+        return text if text.lower().endswith(".py") else super().parse(text)
+
+
+class Flow(Choice):
+    """A flow's name, or from a script a function (x, y, t) -> (u, v)."""
+
+    def parse(self, text):
+        """The value of a text or a callable; a ValueError says what is wrong with it."""
+        if callable(text):
+            return text if isinstance(text, Function) else Function(text, "flow")
+        if text.startswith("function "):
+            raise ValueError("known only to the script that has it")
+        return super().parse(text)
+
+
+class Force(Numbers):
+    """A uniform force, or from a script a function (x, y, t) -> (fx, fy)."""
+
+    def parse(self, text):
+        """The value of a text or a callable; a ValueError says what is wrong with it."""
+        if callable(text):
+            return text if isinstance(text, Function) else Function(text, "body_force")
+        if text.startswith("function "):
+            raise ValueError("known only to the script that has it")
+        return super().parse(text)
+
+
 @dataclass(frozen=True)
 class Flag:
     """A switch in PETSc's spellings; the option alone means true."""
@@ -152,6 +190,14 @@ class Path:
     def parse(self, text):
         """The value of a text; a ValueError says what is wrong with it."""
         return text
+
+
+class Curve(Path):
+    """A file of points, or from a script an array of them."""
+
+    def parse(self, text):
+        """The value of a text or an array."""
+        return text if isinstance(text, (str, Points)) else Points(text)
 
 
 @dataclass(frozen=True)
@@ -186,7 +232,7 @@ FRACTION = Number(0, 1, open_low=True, open_high=True)
 CELLS = Whole(8, 2**15)
 
 _ROWS = (
-    Option("scene", Choice(tuple(scenes.SCENES)), scenes.DEFAULT, RUN,
+    Option("scene", SceneName(tuple(scenes.SCENES)), scenes.DEFAULT, RUN,
            "named set of defaults; `-scene list` prints them all"),
     Option("fft", Flag(), False, RUN, "fast direct solvers (transforms) under all solves"),
     Option("picard_rtol", FRACTION, 1e-9, RUN, "gbe, gcn: tolerance of the tangent iteration"),
@@ -211,10 +257,10 @@ _ROWS = (
     Option("advection", Choice(("none", "explicit", "implicit")), "none", FLUID,
            "whether the flow carries its momentum along (Navier-Stokes), and how that is treated: "
            "explicit is cheaper, implicit stable at any time step"),
-    Option("flow", Choice(tuple(FLOWS)), "rest", FLUID,
+    Option("flow", Flow(tuple(FLOWS)), "rest", FLUID,
            "background flow: on the walls, and at the start"),
     Option("shear_rate", ANY, 1.0, FLUID, "rate of the background flow (0 at rest)", "1/time"),
-    Option("body_force", Numbers(("fx", "fy")), (0.0, 0.0), FLUID,
+    Option("body_force", Force(("fx", "fy")), (0.0, 0.0), FLUID,
            "uniform force on the fluid, as a pressure gradient would drive it", "force/area"),
 
     Option("vesicles", Whole(0, 10000), 1, SHAPE, "number of vesicles"),
@@ -238,7 +284,7 @@ _ROWS = (
            "makes", "length"),
     Option("markers", Whole(0, 10**7), 0, SHAPE, "markers, equally spaced in arclength; 0: by "
            "the grid", automatic="0: spacing h/2"),
-    Option("marker_file", Path(), None, SHAPE, "closed curve to use instead of the ellipse: a "
+    Option("marker_file", Curve(), None, SHAPE, "closed curve to use instead of the ellipse: a "
            "text file, x and y of one point a line, also as IBAMR, IB2d and PetIBM write it",
            automatic="none"),
 
@@ -360,7 +406,8 @@ def read(database):
     ----------
     database : mapping of str to str or None
         PETSc's option database: name without the dash, in any case, to text; None or '' for an
-        option without a value. The same on all ranks.
+        option without a value. The same on all ranks. Functions and arrays of a script stand in
+        the place of some texts.
 
     Returns
     -------
@@ -375,12 +422,12 @@ def read(database):
     for name, text in database.items():
         option = option_of(name.lower())
         if option is not None:
-            given[option.name] = value_of(option, text or "")
+            given[option.name] = value_of(option, "" if text is None else text)
         elif not is_petsc(name.lower()):
-            raise InputError(_unknown(name, text or ""))
-    scene = scenes.SCENES[given.get("scene", scenes.DEFAULT)]
+            raise InputError(_unknown(name, "" if text is None else str(text)))
+    scene = scenes.find(given.get("scene", scenes.DEFAULT))
     values = {option.name: option.default for option in _ROWS}
-    values.update(scene.settings, scene=scene.name)
+    values.update(_scene_values(scene), scene=scene.name)
     values.update(given)
     check_domain(values["domain"])
     resolve(values, set(given), scene.cfl_of(values["scheme"]))
@@ -392,11 +439,53 @@ def read(database):
     return settings
 
 
+def _scene_values(scene):
+    """The settings of a scene, as values of options."""
+    if scene.name in scenes.SCENES:
+        return scene.settings
+    values = {}
+    for name, value in scene.settings.items():
+        option = option_of(name)
+        if option is None or option.name == "scene":
+            raise InputError(f"-scene {scene.name}: {_unknown(name, shown(value))}")
+        try:
+            values[name] = value_of(option, entry_of(option, value))
+        except InputError as error:
+            raise InputError(f"-scene {scene.name}: {error}") from None
+    return values
+
+
+def entry_of(option, value):
+    """What `read` takes for a value of Python's: its text, but for functions and points."""
+    if value is None or isinstance(value, str):
+        return value
+    array = isinstance(option.kind, Curve)
+    return value if array or callable(value) or is_own(value) else shown(value)
+
+
+def shown(value):
+    """The text of a value of Python's or numpy's."""
+    return text_of(value.tolist() if hasattr(value, "tolist") else value)
+
+
+def help_asked(arguments):
+    """What -help of a command line asks for, None without one, and the rest of the words."""
+    words, topic = list(arguments), None
+    for place, word in enumerate(words):
+        if word.lower() in ("-help", "--help", "-h"):
+            after = words[place + 1 : place + 2]
+            count = 2 if after and not after[0].startswith("-") else 1
+            topic = after[0].lower() if count == 2 else ""
+            del words[place : place + count]
+            break
+    return topic, words
+
+
 def information(database):
     """The text that ``-help`` or ``-scene list`` asks for, or None when neither is given."""
     asked = {name.lstrip("-").lower(): (text or "").lower() for name, text in database.items()}
     if "help" in asked:
-        return help_text()
+        return help_text(asked["help"])
     return scenes.listing() if asked.get("scene") == "list" else None
 
 
@@ -427,12 +516,13 @@ def reject_stray_words(arguments):
 def value_of(option, text):
     """The value of one option from its text; raises InputError."""
     try:
-        if text == "" and not isinstance(option.kind, Flag):
+        if isinstance(text, str) and text == "" and not isinstance(option.kind, Flag):
             raise ValueError("needs a value")
         value = option.kind.parse(text)
         _check_magnitude(option.kind, value)
         return value
-    except ValueError as error:
+    except (ValueError, TypeError) as error:
+        text = text if isinstance(text, str) else type(text).__name__
         names = option.kind.names if isinstance(option.kind, Choice) else ()
         near = difflib.get_close_matches(text.lower(), names, 1)
         raise InputError(f"-{option.name} {_short(text)}".rstrip()
@@ -491,38 +581,111 @@ def _short(text, longest=60):
 # --- showing the table
 
 
-def help_text():
-    """The text of ``-help``: every option by group, at most 100 columns."""
-    lines = ["petscib: vesicles in viscous flow by an energy stable immersed boundary method.",
-             "Usage: [mpiexec -n RANKS] python -m petscib [-option value ...]",
-             "Scenes set other defaults than those below (-scene list).",
-             f"Switches take {Flag.allowed}; alone they mean true."]
-    for group in GROUPS:
-        lines += ["", group]
-        for option in _ROWS:
-            if option.group == group:
-                unit = f" [{option.unit}]" if option.unit else ""
-                plain = isinstance(option.kind, (Flag, Path))
-                allowed = "" if plain else f"{option.kind.allowed}; "
-                lines += _entry(f"-{option.name} {option.kind.symbol}",
-                                f"{option.help}{unit} ({allowed}default: {option.default_text})")
-    lines += ["", *textwrap.wrap(
-        "With several vesicles, -vesicle_0_axes, -vesicle_1_center and so on give one vesicle its "
-        "own value of " + ", ".join(OWN) + ".", 100)]
-    lines += ["", "Solvers: PETSc's ksp_ and pc_ options behind each prefix, as in "
-              "-momentum_ksp_rtol 1e-8"]
+_TOPICS = dict(zip(("run", "fluid", "shape", "membrane", "time", "results"), GROUPS))
+_HEAD = ("petscib: vesicles in viscous flow by energy stable immersed boundary methods.",
+         "Usage: [mpiexec -n RANKS] python -m petscib [-option value ...]")
+
+
+def help_text(topic=""):
+    """The text of ``-help``, at most 100 columns.
+
+    Parameters
+    ----------
+    topic : str
+        Empty for a screen that names all options; a group, ``solvers``, the name of an option, or
+        ``all``.
+
+    Raises
+    ------
+    InputError
+        There is no such topic.
+    """
+    topic = topic.lstrip("-")
+    if not topic:
+        return _overview()
+    if topic in _TOPICS:
+        lines = _group(_TOPICS[topic])
+    elif topic == "solvers":
+        lines = _solvers()
+    elif topic == "all":
+        lines = [*_HEAD, *_notes()]
+        for group in GROUPS:
+            lines += ["", *_group(group)]
+        lines += ["", *_solvers(), "", *_of_petsc()]
+    elif option_of(topic) is not None:
+        lines = _option_entry(option_of(topic))
+    else:
+        topics = (*_TOPICS, "solvers", "petsc", "all")
+        near = nearest(topic, (*topics, *TABLE))
+        raise InputError(f"-help {_short(topic)}: no such topic; allowed: {', '.join(topics)}, or "
+                         "an option's name" + (f"; nearest: {near}" if near else ""))
+    return "\n".join(lines) + "\n"
+
+
+def _overview():
+    """The screen of ``-help`` alone."""
+    lines = [*_HEAD, "", "Scenes are sets of defaults: " + textwrap.fill(
+        ", ".join(scenes.SCENES) + ".", 100, initial_indent=" " * 29,
+        subsequent_indent="  ").strip(), "", "Options by group (-help GROUP explains them)"]
+    for topic, group in _TOPICS.items():
+        names = " ".join(f"-{option.name}" for option in _ROWS if option.group == group)
+        lines += _entry(topic, names, column=12)
+    lines += _entry("solvers", " ".join(f"-{prefix}*" for prefix, _ in SOLVERS), column=12)
+    lines += ["", "More"]
+    for name, text in (
+            ("-scene list", "every scene with its options"),
+            ("-help sigma0", "one option"),
+            ("-help all", "all that there is to say of all options"),
+            ("-help petsc", "PETSc's own help: its options, and those of the solvers of this run"),
+            ("-version", "versions of petscib and of what it runs on")):
+        lines += _entry(name, text)
+    return "\n".join(lines) + "\n"
+
+
+def _group(group):
+    lines = [group]
+    for option in _ROWS:
+        if option.group == group:
+            lines += _option_entry(option)
+    if group in (SHAPE, MEMBRANE):
+        lines += ["", *textwrap.wrap(
+            "With several vesicles, -vesicle_0_axes, -vesicle_1_center and so on give one vesicle "
+            "its own value of " + ", ".join(OWN) + ".", 100)]
+    return lines
+
+
+def _option_entry(option):
+    unit = f" [{option.unit}]" if option.unit else ""
+    plain = isinstance(option.kind, (Flag, Path))
+    allowed = "" if plain else f"{option.kind.allowed}; "
+    return _entry(f"-{option.name} {option.kind.symbol}",
+                  f"{option.help}{unit} ({allowed}default: {option.default_text})")
+
+
+def _notes():
+    return ["Scenes set other defaults than those below (-scene list).",
+            f"Switches take {Flag.allowed}; alone they mean true."]
+
+
+def _solvers():
+    lines = ["Solvers: PETSc's ksp_ and pc_ options behind each prefix, as in "
+             "-momentum_ksp_rtol 1e-8"]
     for prefix, text in SOLVERS:
-        lines += _entry(f"-{prefix}*" if prefix.endswith("_") else f"-{prefix}", text)
-    lines += ["", "PETSc"]
+        lines += _entry(f"-{prefix}*", text)
+    return lines
+
+
+def _of_petsc():
+    lines = ["PETSc"]
     for name, text in (
             ("-options_file PATH", "read options from a file, one `-name value` a line"),
             ("-options_file_yaml PATH", "the same from a YAML file"),
             ("PETSC_OPTIONS", "environment variable with more options"),
             ("-log_view", "time and messages of each part, at the end"),
             ("-options_left", "options that nothing has read"),
-            ("-help", "this text")):
+            ("-help petsc", "PETSc's own help: its options, and those of the solvers of a run")):
         lines += _entry(name, text)
-    return "\n".join(lines) + "\n"
+    return lines
 
 
 def markdown_table():

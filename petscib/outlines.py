@@ -10,6 +10,7 @@ from .membranes import arrangement, shapes
 from .membranes.curves import Curves
 from .membranes.gaps import Gaps, contains
 from .membranes.laws import Bending, Contact, Load, Tension, Tether, WallContact
+from .own import is_own
 from .settings import check_curve, text_of
 
 MARGIN = 2.0  # cells of fluid that an arrangement leaves between vesicles
@@ -147,10 +148,14 @@ def _from_file(settings, vesicle, spacing):
     option, path = vesicle.option("marker_file"), vesicle.marker_file
 
     def unfit(why):
-        return InputError(f"-{option} {path}: {why}; allowed: {curve_files.ALLOWED}")
+        allowed = curve_files.ALLOWED_ARRAY if is_own(path) else curve_files.ALLOWED
+        return InputError(f"-{option} {path}: {why}; allowed: {allowed}")
 
     try:
-        points, remark = curve_files.read_points(path)
+        if is_own(path):
+            points, remark = curve_files.points_of(path.array)
+        else:
+            points, remark = curve_files.read_points(path)
         spline = Spline(points)
     except (OSError, ValueError) as error:
         raise unfit(error) from None

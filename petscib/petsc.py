@@ -43,6 +43,25 @@ def start(arguments):
     sys.stderr.writelines(words)
 
 
+def started():
+    """Whether PETSc has been started in this process."""
+    return "petsc4py.PETSc" in sys.modules
+
+
+def database_of(arguments):
+    """The options of some words, names to texts, as PETSc reads them.  PETSc has been started."""
+    from petsc4py import PETSc
+
+    options = PETSc.Options().create()
+    try:
+        options.insertString(" ".join(arguments))
+        return options.getAll()
+    except PETSc.Error as error:
+        raise InputError(f"PETSc cannot read its options: {ours(error)}") from None
+    finally:
+        options.destroy()
+
+
 @contextmanager
 def _held_back(descriptor):
     """What is written to a file descriptor inside the block, as a list of lines, filled after."""

@@ -9,6 +9,7 @@ from . import guard
 from .agreement import on_root
 from .coupling.interpolation import Interpolation
 from .events import phase
+from .fluid.force import BodyForce
 from .membranes import mobility
 from .membranes.gaps import Gaps
 from .solvers.markers import MarkerOperators
@@ -136,14 +137,14 @@ class Problem:
         Whether markers slip by what smoothing takes from the velocity (see `mobility`).
     areas : ndarray, shape (V,), optional
         Signed areas that the membranes are to keep, on rank 0; None leaves them free.
-    body_force : (float, float)
-        Uniform force per unit area on the fluid.
+    body_force : (float, float) or own.Function
+        Force per unit area on the fluid, the same everywhere or a function of place and time.
     advection : Advection, optional
         None: creeping flow, whose momentum is not carried along.
 
     Attributes
     ----------
-    body_force : PETSc.Vec or None
+    body_force : BodyForce or None
         The same on the faces; None where there is none.
     gaps : Gaps or None
         How near the membranes are, for rank 0.
@@ -161,7 +162,9 @@ class Problem:
         self.kink_correction = kink_correction
         self.areas = areas
         self.gaps = None if membranes is None else Gaps(membranes.curves, grid)
-        self.body_force = operators.uniform_force(body_force) if any(body_force) else None
+        self.body_force = None
+        if callable(body_force) or any(body_force):
+            self.body_force = BodyForce(operators, body_force)
         self.advection = advection
 
     @property
@@ -274,7 +277,7 @@ class Problem:
         if self.operators.wall_source is not None:
             rhs.axpy(self.mu, self.operators.wall_source)
         if self.body_force is not None:
-            rhs.axpy(1.0, self.body_force)
+            rhs.axpy(1.0, self.body_force.at(state.time + interval))
         if transport is not None:
             self.advection.load(rhs, transport)
 

@@ -13,6 +13,7 @@ from . import options
 from .agreement import on_root
 from .errors import InputError
 from .output import checkpoint, files
+from .own import is_own
 from .settings import given_text, text_of
 from .vesicles import split
 
@@ -55,7 +56,9 @@ def merge(database, comm):
         if name not in now:
             PETSc.Options()[name] = text
     output = now.get("output") or os.path.dirname(header.path) or "."
-    return {**_saved_options(header, output), **now, "output": output, "restart": header.path}
+    saved = _saved_options(header, output, {
+        name: value for name, value in now.items() if not isinstance(value, (str, type(None)))})
+    return {**saved, **now, "output": output, "restart": header.path}
 
 
 def _locate(now):
@@ -85,13 +88,16 @@ def _latest(folder):
     return max(headers, key=lambda header: header.step)
 
 
-def _saved_options(header, output):
-    """Option texts that give the file's settings again, but for where it read and wrote."""
+def _saved_options(header, output, own):
+    """Option texts that give the file's settings again, but for where it read and wrote.
+
+    Functions and points of the script's stand in the place of theirs.
+    """
     paths = "restart", "output"
     record = {name: value for name, value in header.options.items() if name not in paths}
     record["given"] = [name for name in record["given"] if name not in paths]
     try:
-        texts = {**given_text(record), "restart": header.path, "output": output}
+        texts = {**given_text(record), **own, "restart": header.path, "output": output}
         fresh = options.read(texts).to_dict()
     except InputError as error:
         raise InputError(f"{header.path}: {error}") from None
@@ -107,15 +113,16 @@ def _refuse_changes(now, header):
         number, base = split(name)
         if (name if number is None else base) not in FIXED:
             continue
-        value = options.value_of(options.option_of(name), now[name] or "")
+        text = "" if now[name] is None else now[name]
+        value = options.value_of(options.option_of(name), text)
         common = name if number is None else base
         # An older file lacks some.
         saved = header.options.get(common, options.TABLE[common].default)
         saved = header.options.get(name, saved)
         saved = tuple(saved) if isinstance(saved, list) else saved
-        if value != saved:
+        if value != saved and not (is_own(value) and str(value) == saved):
             allowed = f"{text_of(saved)}, or no -{name}" if saved is not None else f"no -{name}"
             raise InputError(
-                f"-{name} {now[name]}: a restart cannot change it, and {header.path} was made "
+                f"-{name} {text_of(value)}: a restart cannot change it, and {header.path} was made "
                 f"with {text_of(saved)}; allowed: {allowed}"
             )

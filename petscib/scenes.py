@@ -4,15 +4,21 @@ A scene is chosen by ``-scene NAME``; options given by the user win over it. To 
 `Scene` to the tuple below: ``-scene list``, ``-help`` and the checks follow by themselves.
 """
 
+import os
+import runpy
 import textwrap
+import traceback
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any
 
+from petscib.errors import InputError
 from petscib.settings import text_of
 
 # Of the main job: the treading frequency is 1.6 percent off the truth with mbe, 1.2 with be.
 CFL_OF_OTHERS = 0.25
+_FILE = "a file of Python in which scene = petscib.Scene(name, summary, dict(option=value, ...))"
 
 
 @dataclass(frozen=True)
@@ -30,12 +36,17 @@ class Scene:
     cfl : float
         The time step when ``-ts_dt`` is not given, in units of h / V: h = min(dx, dy), so that
         refining the grid refines the time step too, and V the speed of `settings.typical_speed`.
+    laws : tuple of callables
+    measures : mapping of str to callable
+        The same as of `petscib.Simulation`, for scenes in files of the user's.
     """
 
     name: str
     summary: str
     settings: Mapping[str, Any]
     cfl: float = 1.0
+    laws: tuple = ()
+    measures: Mapping[str, Any] = field(default_factory=dict)
 
     def cfl_of(self, scheme):
         """The same for a scheme that the scene may not have chosen.
@@ -159,6 +170,39 @@ _SCENES = (
 
 SCENES = {scene.name: scene for scene in _SCENES}
 DEFAULT = _SCENES[0].name
+
+
+def find(name):
+    """The scene of a name, or of a file that ends in .py.
+
+    Raises
+    ------
+    InputError
+        The file has none.
+    """
+    if name in SCENES:
+        return SCENES[name]
+    try:
+        changed = os.stat(name).st_mtime_ns
+    except OSError as error:
+        raise InputError(f"-scene {name}: {error.strerror}; allowed: {_FILE}") from None
+    return _load(name, changed)
+
+
+@lru_cache
+def _load(path, changed):
+    """The scene of a file, which is run only once until it changes."""
+    try:
+        scene = runpy.run_path(path).get("scene")
+    except Exception as error:
+        place = [frame.lineno for frame in traceback.extract_tb(error.__traceback__)
+                 if frame.filename == path]
+        line = getattr(error, "lineno", None) or (place[-1] if place else "?")
+        raise InputError(f"-scene {path}: line {line}: {type(error).__name__}: {error}; allowed: "
+                         f"{_FILE}") from None
+    if not isinstance(scene, Scene):
+        raise InputError(f"-scene {path}: it has no scene; allowed: {_FILE}")
+    return replace(scene, name=path)
 
 
 def listing():

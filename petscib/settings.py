@@ -12,8 +12,9 @@ import numpy as np
 
 from petscib.coupling.kernels import KERNELS
 from petscib.errors import InputError
-from petscib.fluid.flows import FLOWS, VARIES
+from petscib.fluid.flows import VARIES, velocity
 from petscib.membranes.shapes import ellipse_perimeter
+from petscib.own import Function, is_own
 from petscib.schemes.registry import SCHEMES
 from petscib.vesicles import OWN, of, split
 
@@ -22,6 +23,9 @@ from petscib.vesicles import OWN, of, split
 WIDEST_SPACING = 2.0
 # The fewest markers of a closed membrane: its fourth difference spans 5 of them.
 FEWEST_MARKERS = 8
+NOWHERE = ""  # value of `output` for a run that writes no files
+# Times, over the end time, at which a flow of the user's must be the same.
+_TIMES = 0.0, 0.31, 0.77, 1.0
 
 
 class Settings:
@@ -65,7 +69,8 @@ class Settings:
 
     def to_dict(self):
         """Every value and, under ``given``, the sorted names the user gave; fit for JSON."""
-        record = {k: list(v) if isinstance(v, tuple) else v for k, v in self.__dict__.items()}
+        record = {k: list(v) if isinstance(v, tuple) else str(v) if is_own(v) else v
+                  for k, v in self.__dict__.items()}
         return dict(record, given=sorted(self.given))
 
 
@@ -113,7 +118,7 @@ def typical_speed(values):
     bending = max((of(values, k).bending for k in range(values["vesicles"])), default=0.0)
     size = min(b - a, d - c) / 2
     with np.errstate(all="ignore"):
-        flow = np.abs(FLOWS[values["flow"]](x, y, values["shear_rate"], values["domain"])).max()
+        flow = np.abs(velocity(values["flow"], x, y, values["shear_rate"], values["domain"])).max()
         membrane = min(100 * bending / (mu * size**2), np.sqrt(1000 * bending / (rho * size**3)))
         return float(max(flow, membrane) or mu / (rho * size))
 
@@ -157,7 +162,8 @@ def resolve(values, given, cfl):
         if values[name] is None:
             derived[name] = SCHEMES[values["scheme"]].implicit
     if values["output"] is None:
-        derived["output"] = os.path.join("out", values["scene"])
+        name = os.path.splitext(os.path.basename(values["scene"]))[0]
+        derived["output"] = os.path.join("out", name)
     if values["flow"] == "rest":
         derived["shear_rate"] = 0.0
     if values["marker_file"] is not None or values["shape"] == "line":
@@ -304,12 +310,35 @@ def _check_choices(settings):
     if settings.flow == "rest" and settings.shear_rate != 0:
         _refuse(settings, ("shear_rate",), "the flow is rest",
                 "0, or another -flow")
+    if isinstance(settings.flow, Function):
+        _check_flow(settings)
+        return
     along = sorted(set(VARIES[settings.flow]) & set(settings.periodic))
     if along:
         fit = [flow for flow, varies in VARIES.items() if not set(varies) & set(settings.periodic)]
         _refuse(settings, ("flow", "periodic"), f"the flow {settings.flow} varies along "
                 f"{' and '.join(along)}, where the box is periodic",
                 f"-flow {' or '.join(fit)}, or another -periodic")
+
+
+def _check_flow(settings):
+    """Refuse a flow of the user's that the sides of the box cannot have."""
+    flow = settings.flow
+    if "shear_rate" in settings.given:
+        _refuse(settings, ("shear_rate",), f"the flow is a {flow}", "no -shear_rate")
+    a, b, c, d = settings.domain
+    x, y = np.meshgrid(np.linspace(a, b, 23), np.linspace(c, d, 23))
+    first, *others = (np.array(flow(x, y, part * settings.ts_max_time)) for part in _TIMES)
+    close = 1e-9 * np.abs(first).max()
+    if any(np.abs(other - first).max() > close for other in others):
+        raise flow.refused(
+            "changes in time, and the walls cannot",
+            "a flow that is the same at all times, or a -body_force that changes")
+    for name, one, other in (("x", first[:, :, 0], first[:, :, -1]),
+                             ("y", first[:, 0], first[:, -1])):
+        if name in settings.periodic and np.abs(one - other).max() > close:
+            raise flow.refused(f"is not the same on both sides in {name}, where the box is "
+                               "periodic", "a periodic flow, or another -periodic")
 
 
 def _check_vesicles(settings, shape_options):
@@ -391,8 +420,14 @@ def _check_files(settings):
     for name in ("restart", *sorted(files)):
         path = getattr(settings, name)
         needed = name == "restart" or settings.restart is None  # the saved markers suffice
-        if path is not None and needed and not os.path.isfile(path):
+        if path is not None and not is_own(path) and needed and not os.path.isfile(path):
             _refuse(settings, (name,), "no such file", "an existing file")
+    if settings.output == NOWHERE:
+        for name in ("plot", "xdmf_every", "checkpoint_every", "checkpoint_minutes"):
+            if getattr(settings, name):
+                _refuse(settings, (name,), "there is no folder to write to",
+                        f"output=..., or no {name}")
+        return
     folder = os.path.abspath(settings.output)
     while not os.path.exists(folder):
         folder = os.path.dirname(folder)

@@ -5,17 +5,20 @@ import numpy as np
 from . import outlines
 from .agreement import on_root
 from .coupling.kernels import KERNELS
+from .errors import InputError
 from .fluid.advection import Advection
 from .fluid.grid import Grid
 from .fluid.operators import Operators
 from .fluid.sides import Sides
 from .membranes import geometry
+from .membranes.laws import check_law
 from .membranes.membranes import Constants, Membranes
 from .output import checkpoint
 from .problem import Problem, State
+from .solvers.poisson import poisson_solver
 
 
-def build_problem(settings, comm, header=None, remarks=None):
+def build_problem(settings, comm, header=None, remarks=None, own_laws=()):
     """Problem and first state.  Collective.
 
     Parameters
@@ -26,6 +29,9 @@ def build_problem(settings, comm, header=None, remarks=None):
         Of the file to continue from.
     remarks : list of str, optional
         Gets what the user should know; equal on all ranks.
+    own_laws : sequence of callables
+        Each makes a law of the user's from the curves and the markers that the run begins with, of
+        which there are none but on rank 0.
 
     Raises
     ------
@@ -35,6 +41,9 @@ def build_problem(settings, comm, header=None, remarks=None):
     periodic = "x" in settings.periodic, "y" in settings.periodic
     grid = Grid((settings.stag_grid_x, settings.stag_grid_y), settings.domain, comm, periodic)
     sides = Sides(grid, settings.flow, settings.shear_rate)
+    if own_laws and not settings.vesicles:
+        raise InputError("laws: there is no vesicle for them (vesicles is 0); allowed: vesicles=1, "
+                         "or no laws")
     membranes, markers, stretch, areas = None, np.zeros((0, 2)), np.zeros(0), None
     if settings.vesicles:
         if header is not None:
@@ -45,6 +54,7 @@ def build_problem(settings, comm, header=None, remarks=None):
             stretch, targets = curves.stretching(markers), markers
             rest = outlines.rest_of(settings, curves, stretch)
         laws, loads = outlines.laws_of(settings, grid, curves, rest, targets)
+        laws += _own(own_laws, curves, markers, laws, grid.comm.tompi4py())
         held = any(vesicle.tether for vesicle in settings.each_vesicle())
         constants = grid.comm.tompi4py().bcast(
             Constants(curves, rest, targets if held else None))
@@ -75,7 +85,32 @@ def build_problem(settings, comm, header=None, remarks=None):
         return problem, checkpoint.load_state(header, grid, markers, stretch)
     velocity, pressure = grid.velocity_vector(), grid.pressure_vector()
     sides.fill(velocity)
+    if callable(settings.flow):
+        _make_solenoidal(operators, velocity, settings.fft)
     return problem, State(0, 0.0, velocity, pressure, markers, stretch)
+
+
+def _own(makers, curves, markers, others, comm):
+    """Laws of the user's, each of which must be one.  Collective."""
+    laws = []
+    for make in makers:
+        law = make(curves, markers)
+        on_root(comm, lambda law=law: check_law(law, [*others, *laws], markers))
+        laws.append(law)
+    return laws
+
+
+def _make_solenoidal(operators, velocity, fft):
+    """Take the divergence from a flow: that of the user's has one on the grid.  Collective."""
+    solver = poisson_solver(operators, fft)
+    source, potential = (operators.grid.pressure_vector() for _ in range(2))
+    operators.divergence.mult(velocity, source)
+    solver.solve(source, potential)
+    correction = velocity.duplicate()
+    operators.gradient.mult(potential, correction)
+    velocity.axpy(-1.0, correction)
+    for part in (solver, source, potential, correction):
+        part.destroy()
 
 
 def _first(settings, grid, remarks):

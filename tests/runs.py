@@ -7,7 +7,7 @@ from petsc4py import PETSc
 
 from petscib import options, restart, solver_options
 from petscib.output import tables
-from petscib.simulation import Simulation
+from petscib.driver import Driver
 
 comm = MPI.COMM_WORLD
 SMALL = {"stag_grid_x": "24", "ts_dt": "0.08333333333333333", "axes": "0.25,0.4",
@@ -22,7 +22,7 @@ def prepare(folder, **words):
         PETSc.Options().delValue(name)
     if "restart" not in words:
         given = {**SMALL, **given}
-    simulation = Simulation(options.read(restart.merge(given, comm)))
+    simulation = Driver(options.read(restart.merge(given, comm)))
     atexit.register(simulation.destroy)  # PETSc must not find it at its own end
     return simulation
 

@@ -13,7 +13,7 @@ from petscib import options, restart
 from petscib.errors import InputError, SolveError
 from petscib.fluid.advection import LARGEST_CFL, Advection
 from petscib.fluid.flows import FLOWS
-from petscib.simulation import Simulation
+from petscib.driver import Driver
 from petscib.stepsize import StepSize
 from petscib.studies import navierstokes
 from petscib.studies.campaign import Campaign
@@ -37,7 +37,7 @@ def simulation_of(folder, solver=None, communicator=None, **words):
     given = {**QUIET, **{name: str(value) for name, value in words.items()}}
     with dense.petsc_options(**(solver or {})):
         given = restart.merge({"output": str(folder), **given}, comm)
-        simulation = Simulation(options.read(given), communicator)
+        simulation = Driver(options.read(given), communicator)
         try:
             yield simulation
         finally:

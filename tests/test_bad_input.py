@@ -8,7 +8,7 @@ from runs import SMALL, comm
 
 from petscib import options, restart, sources
 from petscib.errors import InputError
-from petscib.simulation import Simulation
+from petscib.driver import Driver
 
 # --- one process, every stage of a start: options, restart, marker file, output folder
 
@@ -22,7 +22,7 @@ def refusal(tmp_path, words):
             if options.is_petsc(name):
                 PETSc.Options()[name] = text
         try:
-            Simulation(options.read(restart.merge(database, comm)))
+            Driver(options.read(restart.merge(database, comm)))
         finally:
             for name in words:
                 PETSc.Options().delValue(name)
@@ -191,7 +191,7 @@ def test_a_right_marker_file(tmp_path, no_axes, turn):
         path.write_text("# a circle\n" + lines(points).replace(" ", ", ") + "\n  # end\n")
     comm.Barrier()
     database = {**SMALL, "output": str(tmp_path / "out"), "marker_file": str(path)}
-    simulation = Simulation(options.read(database))
+    simulation = Driver(options.read(database))
     markers, ds = simulation.state.markers, simulation.problem.membranes.curves.ds[:1]
     simulation.destroy()
     count = comm.bcast(len(markers))

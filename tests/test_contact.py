@@ -12,7 +12,7 @@ from petscib import options
 from petscib.membranes import laws, shapes
 from petscib.membranes.curves import Curves
 from petscib.membranes.membranes import Membranes
-from petscib.simulation import Simulation
+from petscib.driver import Driver
 
 GRID = SimpleNamespace(domain=(-1.0, 1.0, -1.0, 1.0), periodic=(True, False), dx=0.05, dy=0.05)
 SCHEMES = ["mbe", "mcn", "be", "cn", "gbe", "gcn"]
@@ -302,7 +302,7 @@ def test_a_flat_membrane_swings_as_linear_theory_says(tmp_path, mu, sigma, rho, 
     """From the exact mode, within 1 percent in both rates on 64^2."""
     steps = 96
     end = 1.2 * 2 * np.pi / frequency
-    simulation = Simulation(options.read(dict(
+    simulation = Driver(options.read(dict(
         scene="ripple", stag_grid_x="64", mu=str(mu), rho=str(rho), sigma0=str(sigma),
         amplitude="1e-3", startup="0", fft="yes", picard_rtol="1e-6", ts_dt=repr(end / steps),
         ts_max_time=repr(end), output=str(tmp_path), monitor="none", plot="no")))

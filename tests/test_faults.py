@@ -18,7 +18,7 @@ from runs import SMALL, arrays, assert_same_run, prepare, rows, run
 from petscib import guard, options, schemes
 from petscib.errors import Crash, InputError, SolveError, WallError, ours
 from petscib.output import checkpoint, lock
-from petscib.simulation import Simulation
+from petscib.driver import Driver
 from petscib.solvers import krylov
 
 OPTIONS = ["-scheme", "mbe"] + [
@@ -537,7 +537,7 @@ def test_a_folder_in_use_is_refused(tmp_path):
     before = (tmp_path / "run" / "diagnostics.csv").read_bytes()
     given = {**SMALL, "output": str(tmp_path / "run")}
     with pytest.raises(InputError) as caught:
-        Simulation(options.read(given))
+        Driver(options.read(given))
     assert str(caught.value).startswith(f"{tmp_path}/run: in use by process {os.getpid()} on ")
     assert (tmp_path / "run" / "diagnostics.csv").read_bytes() == before
     first.run()

@@ -12,7 +12,7 @@ from petscib import options, schemes
 from petscib.errors import InputError
 from petscib.output.xdmf import Series, cell_fields
 from petscib.problem import Step
-from petscib.simulation import Simulation
+from petscib.driver import Driver
 
 RHO, MU = 1.3, 0.7
 BOX = {"stag_grid_x": "24", "stag_grid_y": "21", "domain": "-1,2,0.5,2", "rho": str(RHO),
@@ -32,7 +32,7 @@ def simulation_of(folder, solver, **words):
     if solver == "fft":
         given["fft"] = "yes"
     with dense.petsc_options(**SOLVERS[solver]):
-        simulation = Simulation(options.read(given))
+        simulation = Driver(options.read(given))
     atexit.register(simulation.destroy)  # PETSc must not find it at its own end
     return simulation
 

@@ -15,7 +15,7 @@ from petscib.membranes import arrangement, geometry, shapes
 from petscib.membranes.curves import Curves
 from petscib.membranes.gaps import Gaps
 from petscib.output import tables
-from petscib.simulation import Simulation
+from petscib.driver import Driver
 
 TRUTH = pathlib.Path(__file__).with_name("two_vesicles.json")
 GCN = {"scheme": "gcn", "fft": "yes", "ts_dt": "0.1"}
@@ -294,7 +294,7 @@ def test_what_cannot_be_is_refused(tmp_path, words, fragments):
     if "shape" in words and "axes" not in words:
         del given["axes"]
     with pytest.raises(InputError) as caught:
-        Simulation(options.read({**given, "output": str(tmp_path / "out")}))
+        Driver(options.read({**given, "output": str(tmp_path / "out")}))
     message = str(caught.value)
     assert "allowed: " in message or "unknown" in message
     for fragment in fragments:

@@ -40,6 +40,36 @@ def taylor_green(x, y, shear_rate, domain):
 
 FLOWS = {flow.__name__.replace("_", "-"): flow
          for flow in (rest, shear, extensional, poiseuille, cavity, taylor_green)}
+
+
+def velocity(flow, x, y, shear_rate, domain):
+    """Velocity (u, v) of a background flow at places x, y.
+
+    Parameters
+    ----------
+    flow : str or own.Function
+        Name in `FLOWS`, or a function of the user's, which is the same at all times.
+    x, y : ndarray
+    shear_rate : float
+    domain : (float, float, float, float)
+    """
+    if callable(flow):
+        return flow(x, y, 0.0)
+    return FLOWS[flow](x, y, shear_rate, domain)
+
+
+def rate(flow, x, y, shear_rate, domain):
+    """How fast the flow turns and strains what is at some places: its largest velocity gradient."""
+    if not callable(flow):
+        return abs(shear_rate)
+    a, b, c, d = domain
+    step = 1e-4 * min(b - a, d - c)
+    there = [velocity(flow, x + dx, y + dy, shear_rate, domain)
+             for dx, dy in ((step, 0), (-step, 0), (0, step), (0, -step))]
+    along_x, along_y = np.subtract(*there[:2]), np.subtract(*there[2:])
+    return float(max(np.abs(along_x).max(), np.abs(along_y).max()) / (2 * step))
+
+
 # Directions in which they vary, and not with the box: there it cannot be periodic.
 VARIES = {"rest": "", "shear": "y", "extensional": "xy", "poiseuille": "y", "cavity": "y",
           "taylor-green": ""}

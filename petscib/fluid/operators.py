@@ -113,8 +113,11 @@ class Operators:
     def _neighbours(self, table, box, row, column):
         return _shifted(table, box, row, column, self.grid.periodic)
 
-    def uniform_force(self, force):
-        """New velocity vector of a force (x, y) that acts on all faces but those of walls."""
+    def force(self, *force):
+        """New velocity vector of a force that acts on all faces but those of walls.
+
+        Its two components are numbers, or arrays of the shapes of u_box and v_box.
+        """
         grid, vector = self.grid, self.grid.velocity_vector()
         inner = self.u_unknown[grid.u_box] >= 0, self.v_unknown[grid.v_box] >= 0
         grid.set_velocity(vector, *(size * part for size, part in zip(force, inner)))

@@ -20,6 +20,7 @@ LARGEST = 1e9  # coordinate: no box is larger
 _SAME = 0.01
 _NEIGHBOURS = 7  # gaps, of which the median is what is usual there
 
+ALLOWED_ARRAY = "an array of shape (N, 2), points along a closed curve that does not cross itself"
 ALLOWED = (
     "a text file, x and y of one point a line with blanks, tabs, commas or semicolons between "
     "(before them at most their number and a line of names; comments after #, % or !), along a "
@@ -52,7 +53,21 @@ def read_points(path):
     ValueError
         For anything that is not a simple closed curve, with the line at fault.
     """
-    points, lines = _parse(_text(path))
+    return _simple(*_parse(_text(path)), "line")
+
+
+def points_of(array):
+    """The same from an array; ValueErrors name the row at fault, counted from 0."""
+    if array.ndim != 2 or array.shape[1] != 2:
+        raise ValueError(f"its shape is {array.shape} instead of (N, 2)")
+    wrong = np.flatnonzero(~(np.abs(array) <= LARGEST).all(axis=1))
+    if len(wrong):
+        raise ValueError(f"row {wrong[0]} is not finite, or beyond {LARGEST:g}")
+    return _simple(array, np.arange(len(array)), "row")
+
+
+def _simple(points, lines, word):
+    """What `read_points` returns, from points and the numbers of their lines or rows."""
     if len(points) > 1 and (points[0] == points[-1]).all():
         points, lines = points[:-1], lines[:-1]
     kept = _distinct(points)
@@ -63,13 +78,13 @@ def read_points(path):
     first = index[place.ravel()]
     twice = np.flatnonzero(first != np.arange(len(points)))
     if len(twice):
-        raise ValueError(f"the point of line {lines[first[twice[0]]]} again in line "
+        raise ValueError(f"the point of {word} {lines[first[twice[0]]]} again in {word} "
                          f"{lines[twice[0]]}")
     crossing = find_crossing(points)
     if crossing:
         one, other = lines[list(crossing)]
-        raise ValueError(f"the curve crosses itself, after lines {one} and {other}")
-    return points, _remark(left_out)
+        raise ValueError(f"the curve crosses itself, after {word}s {one} and {other}")
+    return points, _remark(left_out, word)
 
 
 def _text(path):
@@ -136,10 +151,10 @@ def _distinct(points):
     return kept
 
 
-def _remark(lines):
+def _remark(lines, word):
     if not len(lines):
         return ""
     shown = ", ".join(map(str, lines[:3])) + (", ..." if len(lines) > 3 else "")
     if len(lines) == 1:
-        return f"the point of line {shown} all but repeats another, and is left out"
-    return f"{len(lines)} points all but repeat others, and are left out (lines {shown})"
+        return f"the point of {word} {shown} all but repeats another, and is left out"
+    return f"{len(lines)} points all but repeat others, and are left out ({word}s {shown})"

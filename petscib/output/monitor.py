@@ -5,6 +5,7 @@ the end. It never decides anything.
 """
 
 import math
+import os
 import sys
 from time import monotonic
 
@@ -305,6 +306,25 @@ def closing_lines(summary):
             f"{set_up:.2g} s of set-up)")
     if summary.get("output"):
         add("results in", summary["output"])
+        lines += _what_next(summary, options)
+    if summary.get("doubts"):
+        lines.append("not to be trusted without a look at")
+        lines += [f"  {doubt}" for doubt in summary["doubts"]]
+    return lines
+
+
+def _what_next(summary, options):
+    """Lines for who sees their first results."""
+    folder = summary["output"]
+    pictures = [name for name in ("outlines.png", "fields.png")
+                if os.path.exists(os.path.join(folder, name))]
+    look = pictures or ["diagnostics.csv"]
+    lines = [f"{'look at':<20}" + ", ".join(os.path.join(folder, name) for name in look)]
+    end = options.get("ts_max_time")
+    if end is not None and summary.get("ended") == "finished":
+        lines.append(f"{'to go on':<20}-restart latest -output {folder} -ts_max_time {2 * end:g}")
+        if not options.get("given"):
+            lines.append(f"{'something else':<20}-scene list, -help, -stag_grid_x 128 -fft")
     return lines
 
 

@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 from petsc4py import PETSc
 
-from .. import diagnostics, installation
+from .. import installation
 from ..errors import InputError, ours
 from . import checkpoint, files, lock, monitor, tables
 from .files import on_root
@@ -42,6 +42,8 @@ class Results:
     problem : Problem
     steps : int
         Estimated number of steps, for the interval between outlines.
+    columns : sequence of str
+        Of the table of diagnostics.
     header : checkpoint.Header, optional
         Of the file that the run continues from.
 
@@ -51,7 +53,9 @@ class Results:
         On all ranks, when the folder cannot be written to, or another run is writing there.
     """
 
-    def __init__(self, settings, problem, steps, header=None):
+    writes = True  # files
+
+    def __init__(self, settings, problem, steps, columns, header=None):
         self.settings = settings
         self.problem = problem
         self.folder = settings.output
@@ -63,7 +67,7 @@ class Results:
         self.last_row = None
         self.diagnostics = self.outlines = self.lock = None
         try:
-            on_root(self.comm, lambda: self._open(header), InputError)
+            on_root(self.comm, lambda: self._open(columns, header), InputError)
         except InputError:
             self.release()
             raise
@@ -73,7 +77,7 @@ class Results:
 
             self.series = Series(self.folder, problem)
 
-    def _open(self, header):
+    def _open(self, columns, header):
         """Make the folder ready and open the tables.  Rank 0 only."""
         os.makedirs(self.folder, exist_ok=True)
         self._claim()
@@ -90,8 +94,7 @@ class Results:
             for copy in copies:
                 os.replace(copy, copy[: -len(files.PART)])
         step = header.step if header else None
-        names = diagnostics.columns(self.settings.vesicles)
-        self.diagnostics = self._table("diagnostics.csv", names, step)
+        self.diagnostics = self._table("diagnostics.csv", columns, step)
         if self.problem.membranes is not None:
             self.longest = int(np.diff(self.problem.curves.starts).max())
             columns = tables.outline_columns(self.longest)
@@ -198,7 +201,7 @@ class Results:
         for path in old:
             os.unlink(path)
 
-    def summarise(self, steps, seconds, phases, ended):
+    def summarise(self, steps, seconds, phases, ended, doubts):
         """Write summary.json and return its content.  Raises OutputError on all ranks."""
         summary = {
             "versions": installation.versions(),
@@ -207,6 +210,7 @@ class Results:
             "petsc_options": PETSc.Options().getAll(),
             "output": self.folder,
             "ended": ended,
+            "doubts": doubts,
             "steps": steps,
             "total_seconds": seconds,
             "phase_seconds": dict(phases),
@@ -216,9 +220,12 @@ class Results:
                 for name, value in (self.last_row or {}).items()
             },
         }
+        self._write_summary(summary)
+        return summary
+
+    def _write_summary(self, summary):
         text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
         on_root(self.comm, lambda: files.write_text(self.path("summary.json"), text))
-        return summary
 
     def draw(self):
         """Draw the pictures on rank 0; what cannot be drawn does not fail the run."""
@@ -234,10 +241,15 @@ class Results:
             why = error if isinstance(error, (OSError, ValueError)) else ours(error)
             self.say(f"petscib: not all pictures could be drawn: {why}")
 
+    @property
+    def traceback(self):
+        """Where `keep_traceback` leaves it."""
+        return self.path(TRACEBACK)
+
     def keep_traceback(self, text):
         """Leave where an exception was raised, for whoever mends it.  On any one rank."""
         with suppress(OSError):
-            files.write_text(self.path(TRACEBACK), text)
+            files.write_text(self.traceback, text)
 
     def close(self):
         """Close the tables and the progress display."""

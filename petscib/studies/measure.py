@@ -28,11 +28,11 @@ def main(arguments=None):
 
     from .. import options
     from ..errors import InputError, OutputError, SolveError
-    from ..simulation import Simulation
+    from ..driver import Driver
 
     root = PETSc.COMM_WORLD.rank == 0
     try:
-        simulation = Simulation(options.read(PETSc.Options().getAll()))
+        simulation = Driver(options.read(PETSc.Options().getAll()))
         clock = Clock(simulation, ours.warm_up)
         try:
             simulation.run(clock.tick)

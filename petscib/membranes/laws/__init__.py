@@ -32,6 +32,7 @@ A law whose stresses change in time by themselves, as where tethers are moved, s
 """
 
 from .bending import Bending
+from .checking import check_law
 from .contact import Contact, WallContact
 from .load import Load
 from .tension import Tension
@@ -39,4 +40,4 @@ from .tether import Tether
 
 LAWS = {law.name: law for law in (Tension, Bending, Tether, Contact, WallContact)}
 
-__all__ = ["LAWS", "Load", *(law.__name__ for law in LAWS.values())]
+__all__ = ["LAWS", "Load", "check_law", *(law.__name__ for law in LAWS.values())]

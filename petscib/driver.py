@@ -1,4 +1,4 @@
-"""A run from its settings: build, step until finished, leave the results."""
+"""Drives a run from its settings: build, step until finished, leave the results."""
 
 import gc
 import math
@@ -11,6 +11,7 @@ from time import perf_counter, sleep
 from petsc4py import PETSc
 
 from . import accuracy, energy, events, guard, schemes, solver_options
+from .accuracy import Doubts
 from .agreement import Agreement, on_rank, on_root
 from .diagnostics import Diagnostics
 from .errors import Crash, CrossingError, InputError, OutputError, SolveError, WallError, ours
@@ -19,11 +20,12 @@ from .interrupt import Interrupt
 from .localerror import LocalError
 from .output import checkpoint
 from .output.checkpoint import Progress
+from .output.memory import Memory
 from .output.monitor import opening_line
 from .output.rescue import Rescue
-from .output.results import TRACEBACK, Results
+from .output.results import Results
 from .pressure import ShownPressure
-from .settings import text_of
+from .settings import NOWHERE, text_of
 from .solvers import krylov
 from .start import build_problem
 from .stepsize import StepSize
@@ -38,16 +40,32 @@ def _controls(settings):
         settings.ts_dt)
 
 
-class Simulation:
+class Driver:
     """One run.  Collective.
 
     Parameters
     ----------
     settings : Settings
-        With `restart`, the run continues from that file.
+        With `restart`, the run continues from that file.  With `output` NOWHERE, no file is
+        written.
     comm : PETSc.Comm, optional
     interrupt : Interrupt, optional
         Where signals that ask the run to stop are noted.
+    laws : sequence of callables, optional
+        Each makes a law of the membranes' forces, see `start.build_problem`.
+    measures : dict of str to callable, optional
+        Columns of the diagnostics to add: each gives, without arguments, a number on rank 0.
+    note : callable, optional
+        Is given each row of diagnostics.
+
+    Attributes
+    ----------
+    state : State
+        The present one.
+    doubts : Doubts
+        Why the results may not be trusted.
+    summary : dict or None
+        The content of summary.json, once the run has ended.
 
     Raises
     ------
@@ -55,12 +73,15 @@ class Simulation:
         On all ranks; nothing has been written.
     """
 
-    def __init__(self, settings, comm=None, interrupt=None):
+    def __init__(self, settings, comm=None, interrupt=None, laws=(), measures=None,
+                 note=None):
         events.forget()
-        self.settings = settings
+        self.settings, self.laws, self.measures = settings, laws, measures or {}
+        self.note = note or (lambda row: None)
         self.interrupt = interrupt or Interrupt()
         self.signal = 0
-        self.ledger = None
+        self.ledger = self.summary = None
+        self.begun = False
         self.missed = None, 1  # local error of the last step, and its order
         self.saved_in = None
         self.began = self.saved_at = perf_counter()
@@ -103,14 +124,17 @@ class Simulation:
         self.progress.solver_options = asked
         with stage("set-up"), phase("set-up"):
             self.remarks = []
-            self.problem, self.state = build_problem(settings, comm, header, self.remarks)
+            self.problem, self.state = build_problem(
+                settings, comm, header, self.remarks, self.laws)
             self.warning = ""
             if settings.ts_rtol is None:
                 self.warning = accuracy.of_flow(
                     settings, self.state.markers, self.problem.curves)
             on_root(self.comm, lambda: self._check_start(header))
             self._make_scheme()
-            self.diagnostics = Diagnostics(self.problem, self.progress.reference or None)
+            self.diagnostics = Diagnostics(
+                self.problem, self.progress.reference or None, self.measures)
+            self.doubts = Doubts(settings, self.problem)
             self.local_error = None
             if settings.ts_rtol is not None:
                 order = schemes.SCHEMES[settings.scheme].order
@@ -134,7 +158,8 @@ class Simulation:
         self.rescue = Rescue(self.comm)
         # Nobody knows how many steps a tolerance takes, but that they are few.
         expected = min(steps, most) if settings.ts_rtol is None else 1
-        self.results = Results(settings, self.problem, expected, header)
+        kind = Results if settings.output != NOWHERE else Memory
+        self.results = kind(settings, self.problem, expected, self.diagnostics.columns, header)
         self.shown = ShownPressure(self.problem, settings.fft)
 
     def _make_scheme(self):
@@ -189,29 +214,55 @@ class Simulation:
         OutputError
             Results could not be written.
         """
-        trouble = None
+        for _ in self.steps():
+            if after_step is not None:
+                after_step()
+        return self.summary
+
+    def steps(self):
+        """Take a step for each iteration, and leave the results after the last.  Collective.
+
+        A loop that was left early goes on where another one begins.  Raises what `run` does.
+
+        Yields
+        ------
+        dict
+            The newest row of diagnostics.
+        """
+        if not self.begun:
+            self._guarded(self._begin)
+        while self.summary is None:
+            if self._is_last(self.state) or self.signal:
+                self._guarded(self._finish)
+            else:
+                self._guarded(self._next)
+                yield self.results.last_row
+
+    def _guarded(self, work):
+        """Do a part of the run, in which one rank alone may fail.  Collective."""
         try:
             try:
-                return self._run(after_step)
+                return work()
             except (InputError, SolveError, OutputError):  # on which all ranks agree
                 raise
             except Exception as error:
                 trouble = self._trouble(error)
             raise self._failure(self._meet(trouble))
-        except OutputError as error:
+        except BaseException as error:
+            self.results.release()
+            if not isinstance(error, OutputError):
+                raise
             last = f"; the last checkpoint is {self.saved_in}" if self.saved_in else ""
             raise OutputError(f"results could not be written: {error}{last}") from None
-        finally:
-            self.results.release()
 
-    def _run(self, after_step):
+    def _begin(self):
         results, settings = self.results, self.settings
-        first = self.first_step
+        self.begun = True
         last = self.last_step if self.last_step < math.inf else None
-        results.monitor.start(first, self.state.time, settings.ts_max_time, last)
+        results.monitor.start(self.first_step, self.state.time, settings.ts_max_time, last)
         self.close = guard.near(self.problem, self.state.markers)
         if settings.monitor != "none":
-            self.remarks.insert(0, opening_line(settings, self.last_step - first))
+            self.remarks.insert(0, opening_line(settings, self.last_step - self.first_step))
         for remark in filter(None, [*self.remarks, self.warning, self.close]):
             results.say(f"petscib: {remark}")
         with stage("stepping"):
@@ -219,14 +270,17 @@ class Simulation:
                 self._record(None)
                 self._write_fields()
             self._keep()
-            self.interrupt.at_once = self._save_at_once
-            while not self._is_last(self.state) and not self.signal:
-                self._advance()
-                self._save_when_due()
-                if self.state.step == first + 1:
-                    self._warn_of_unread_options()
-                if after_step is not None:
-                    after_step()
+        self.interrupt.at_once = self._save_at_once
+
+    def _next(self):
+        with stage("stepping"):
+            self._advance()
+            self._save_when_due()
+            if self.state.step == self.first_step + 1:
+                self._warn_of_unread_options()
+
+    def _finish(self):
+        results = self.results
         self.interrupt.at_once = None
         if not self.signal:
             self._save("final.h5")
@@ -234,10 +288,15 @@ class Simulation:
         ended = signal.Signals(self.signal).name if self.signal else "finished"
         seconds = perf_counter() - self.began
         with stage("output"), phase("output"):
-            summary = results.summarise(self.state.step - first, seconds, events.seconds, ended)
-            if settings.plot and not self.signal:
+            said = [name for name, told in (("time step", self.warning), ("gap", self.close)) if told]
+            self.doubts.end(self.state, said)
+            summary = results.summarise(
+                self.state.step - self.first_step, seconds, events.seconds, ended,
+                self.doubts.found)
+            if self.settings.plot and not self.signal:
                 results.draw()
-        return summary
+        results.release()
+        self.summary = summary
 
     def _is_last(self, state):
         left = self.settings.ts_max_time - state.time
@@ -385,7 +444,8 @@ class Simulation:
         """What to raise when a step failed for good, after saving the state before it."""
         try:
             # After a failure no solver is to be trusted.
-            saved = f"the state before it is in {self._save(with_jumps=False)}"
+            path = self._save(with_jumps=False)
+            saved = f"the state before it is {f'in {path}' if path else 'at hand'}"
         except OutputError as failure:
             saved = f"the state before it could not be saved ({failure})"
         return self._last_words(error, saved)
@@ -397,7 +457,7 @@ class Simulation:
         elif isinstance(error, CrossingError):
             advice = "a finer grid, a smaller -ts_dt or -contact keeps them apart"
         elif isinstance(error, Crash):
-            advice = f"{self.results.path(TRACEBACK)} says where"
+            advice = f"{self.results.traceback} says where"
         elif isinstance(error, InputError):
             advice = "-help names what is allowed"
         return type(error)(
@@ -428,6 +488,8 @@ class Simulation:
         if self.traceback:
             self.results.keep_traceback(self.traceback)
         try:
+            if not self.results.writes:
+                raise OutputError("there is no -output")
             path = self.rescue.save(self.results.folder, self.problem, self.settings)
             saved = f"the newest state within its reach is in {path}"
         except Exception as failure:
@@ -443,6 +505,8 @@ class Simulation:
             row = self.diagnostics.row(self.state, step, self.ledger, largest)
         self.progress.largest_energy = max(largest, row["energy"])
         row["local_error"], row["wall_seconds"] = self.missed[0], self._wall_seconds()
+        self.doubts.note(row)
+        self.note(row)
         self._output(self.results.record, row, self.state)
 
     def _write_fields(self):
@@ -461,10 +525,12 @@ class Simulation:
     def _save(self, name=None, with_jumps=True):
         """Write a checkpoint, as a rule with the pressure's jumps.  Returns its path."""
         self.saved_at = perf_counter()
+        if not self.results.writes:
+            return None
 
         def write():
             state = self.shown.state(self.state) if with_jumps else self.state
-            return self.results.save(state, self._reached(), name)
+            return self.results.save(state, self.reached(), name)
 
         self.saved_in = self._output(write)
         if self.shown.trouble:
@@ -477,7 +543,7 @@ class Simulation:
 
     def _save_at_once(self):
         """Save the newest state that all ranks have kept, in the middle of a step.  Any rank."""
-        if self.comm.rank == 0 and not self.writing:
+        if self.comm.rank == 0 and self.results.writes and not self.writing:
             with suppress(Exception):  # the orderly end may still come
                 if self.comm.size == 1:
                     self._save()
@@ -486,11 +552,11 @@ class Simulation:
 
     def _keep(self):
         """Keep the state for the case that this or another rank fails alone.  Not collective."""
-        if self.rescue.wanted:
+        if self.rescue.wanted and self.results.writes:
             with phase("rescue copies"):
-                self.rescue.keep(self.state, self._reached())
+                self.rescue.keep(self.state, self.reached())
 
-    def _reached(self):
+    def reached(self):
         """The progress up to the present state."""
         progress = self.progress
         progress.dt, progress.good_steps = self.step_size.dt, self.step_size.good_steps
