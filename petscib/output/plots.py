@@ -90,6 +90,7 @@ def plot_all(folder, output=None):
         plot_energy,
         plot_ledger,
         plot_fields,
+        plot_tension,
     )
     paths = [plot(folder, output) for plot in pictures]
     return [path for path in paths if path is not None]
@@ -292,7 +293,7 @@ def plot_fields(folder, output=None):
         speed = np.hypot(u, v)
         image = axes[0].imshow(
             speed, origin="lower", extent=fields.domain, cmap=_light_blues(), vmin=0,
-            vmax=_finite_max(speed) or 1.0,
+            vmax=_finite_max(speed) or 1.0, interpolation="bicubic",
         )
         _colour_bar(figure, axes[0], image, r"speed $|\mathbf{u}|$ (length/time)")
         if _finite_max(speed) > 0:
@@ -301,7 +302,8 @@ def plot_fields(folder, output=None):
         # A few corners beside the membrane would otherwise set the whole scale.
         limit = _finite_max(abs(vorticity), quantile=0.998) or 1.0
         image = axes[1].pcolormesh(
-            x, y, vorticity, cmap="RdBu_r", vmin=-limit, vmax=limit, rasterized=True
+            x, y, vorticity, cmap="RdBu_r", vmin=-limit, vmax=limit, rasterized=True,
+            shading="gouraud",
         )
         _colour_bar(figure, axes[1], image, r"vorticity $\omega$ (1/time)")
         for axis in axes:
@@ -312,6 +314,32 @@ def plot_fields(folder, output=None):
             axis.set_title(f"$t = {_time_text(fields.time, fields.time)}$")
             axis.label_outer()
             axis.locator_params(nbins=5)
+        return figure.path
+
+
+def plot_tension(folder, output=None):
+    """``tension.png``: the membranes of the newest saved file, coloured by their tension."""
+    from matplotlib.collections import LineCollection
+
+    fields = _read_fields(folder)
+    if fields is None or not any(np.any(tension) for tension in fields.tensions):
+        return None
+    box = _common_box([list(enumerate(fields.outlines))])
+    # A few edges, as at the tips of a thin vesicle, would otherwise set the whole scale.
+    low, high = np.quantile(np.concatenate(fields.tensions), [0.01, 0.99])
+    scale = dict(cmap="plasma", clim=(low, high if high > low else low + 1.0))
+    shape = box.height / box.width
+    width = 4.4 if shape > 0.5 else 7.0
+    with _picture(folder, output, "tension.png", width + 1.4, width * shape + 0.7) as figure:
+        axis = figure.subplots()
+        for X, tension in zip(fields.outlines, fields.tensions):
+            edges = np.stack((X[:-1], X[1:]), axis=1)
+            image = LineCollection(edges, array=tension, linewidths=3.5, capstyle="round", **scale)
+            axis.add_collection(image)
+        box.frame(axis)
+        axis.set(xlabel="$x$", ylabel="$y$", title=f"$t = {_time_text(fields.time, fields.time)}$")
+        axis.locator_params(nbins=5)
+        _colour_bar(figure, axis, image, r"tension $\sigma$ (force)")
         return figure.path
 
 
@@ -363,6 +391,7 @@ class Fields(NamedTuple):
     u: np.ndarray
     v: np.ndarray
     outlines: list
+    tensions: list  # along the outlines, an entry for each of their edges
     time: float
     domain: tuple
 
@@ -434,11 +463,16 @@ def _read_fields(folder):
         domain = options.get("domain", (-1.0, 1.0, -1.0, 1.0))
         if isinstance(domain, str):
             domain = domain.split(",")
-        outlines = []
+        outlines, tensions = [], []
         while f"vesicle_{len(outlines)}/X" in file:
             vesicle = file[f"vesicle_{len(outlines)}"]
-            period = vesicle.attrs.get("period", 0.0) if vesicle.attrs.get("closed", 1) else None
+            closed = vesicle.attrs.get("closed", 1)
+            period = vesicle.attrs.get("period", 0.0) if closed else None
             outlines.append(_to_its_end(vesicle["X"][:], period))
+            tension = vesicle["tension"][:] if "tension" in vesicle else np.zeros(
+                len(outlines[-1]) - 1)  # in files of an earlier petscib
+            # Entry k of a closed curve lies between markers k - 1 and k.
+            tensions.append(np.roll(tension, -1) if closed else tension)
         # At the end of a step Crank-Nicolson leaves oscillations from cell to cell that it does not
         # damp; in the middle, where its equations hold, there are none.
         theta = SCHEMES[options["scheme"]].theta if "scheme" in options else 1.0
@@ -447,6 +481,7 @@ def _read_fields(folder):
             velocity["u"][:],
             velocity["v"][:],
             outlines,
+            tensions,
             float(file.attrs.get("time", np.nan)),
             tuple(float(side) for side in domain),
         )
@@ -575,7 +610,7 @@ def _is_periodic(fields):
 
 
 def _corner_vorticity(fields):
-    """Vorticity at the cell corners, shape (n+1, m+1), with mesh lines half a cell off them.
+    """Vorticity at the cell corners, shape (n+1, m+1), and the lines that they lie on.
 
     It is computed at inner corners. Those on a wall repeat their neighbour, those on a periodic
     side have a neighbour across it.
@@ -592,9 +627,7 @@ def _corner_vorticity(fields):
         vorticity[:, 0], vorticity[:, -1] = vorticity[:, 1], vorticity[:, -2]
     if not periodic_y:
         vorticity[0], vorticity[-1] = vorticity[1], vorticity[-2]
-    x = a + dx * (np.arange(m + 2) - 0.5)
-    y = c + dy * (np.arange(n + 2) - 0.5)
-    return vorticity, x, y
+    return vorticity, a + dx * np.arange(m + 1), c + dy * np.arange(n + 1)
 
 
 def _periodic_shifts(fields, X):
