@@ -466,7 +466,7 @@ def test_seconds_of_fixed_steps_are_found_between_those_tried():
 def test_distances_from_a_curve_do_not_depend_on_where_along_it():
     curve = shapes.ellipse((0.2, 0.5), (0, 0), 0, 80)
     along = shapes.ellipse((0.2, 0.5), (0, 0), 0, 83)
-    assert defaults.curve_error(along, curve) < 1e-6
+    assert defaults.curve_error(along, curve) < 1e-4  # of the finer curve's own edges
     assert defaults.curve_error(along + (0.01, 0), curve) == pytest.approx(0.01, rel=1e-2)
     line = np.stack((np.linspace(0, 1, 20), np.zeros(20)), axis=1)
     points = np.array([[0.5, 0.1], [1.3, 0.4]])

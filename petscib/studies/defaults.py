@@ -88,8 +88,9 @@ def _record(name, settings, ours, finer):
     record["seconds"] = ours.cpu_seconds
     for quantity in ("area", "perimeter"):
         if quantity == "area" or settings.rest_length is None:
-            names = [one for one in ours.rows if one.startswith(f"{quantity}_error")]
-            record[quantity] = max(filter(None.__ne__, map(ours.largest, names)), default=None)
+            found = [ours.largest(column) for column in ours.rows
+                     if column.startswith(f"{quantity}_error")]
+            record[quantity] = max((one for one in found if one is not None), default=None)
     if finer.finished:
         if settings.vesicles:
             record.update(_curve_errors(ours.curves(), finer.curves(), settings.shape == "line"))
