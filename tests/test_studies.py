@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from petscib import options
 from petscib.membranes import shapes
 from petscib.output import tables
+from petscib.settings import text_of
 from petscib.studies import (
     compare,
     convergence,
@@ -135,9 +137,6 @@ def test_rates():
 
 
 def test_literal_is_the_papers_method_and_ep_has_no_other(tmp_path):
-    from petscib import options
-    from petscib.settings import text_of
-
     series = methods.series(["ep", "mbe", "gcn"])
     assert series == [("ep", methods.LITERAL), ("mbe", methods.LITERAL),
                       ("mbe", methods.CORRECTED), ("gcn", methods.CORRECTED)]
@@ -204,9 +203,6 @@ def test_verdicts_on_stability(tmp_path, status, energies, area_error, verdict):
 
 
 def test_stability_cases_can_all_be_asked_for(tmp_path):
-    from petscib import options
-    from petscib.settings import text_of
-
     names = set()
     for case in stability.cases():
         names.add((case.group, case.name))
@@ -493,6 +489,22 @@ def test_defaults(campaign):
     assert relaxing["right"] == int(max(relaxing["shape"], relaxing["place"]) <= defaults.ALLOWED)
     assert driven["velocity"] > 0 and "shape" not in driven and driven["right"] in (0, 1)
     assert "| relaxation | cn | 16 x 16 |" in open(one.path("defaults.md")).read()
+
+
+def test_vesicles_are_put_where_an_arrangement_had_them(tmp_path):
+    given = dict(vesicles="2", axes="0.1,0.2", output=str(tmp_path))
+    settings = options.read({**given, "arrangement": "random", "stag_grid_x": "32"})
+    placed = [((0.3, -0.2), 25.0), ((-0.4, 0.1), -70.0)]
+    with tables.Table(tmp_path / "outlines.csv", tables.outline_columns(40)) as file:
+        for step in (0, 5):
+            for k, (center, angle) in enumerate(placed):
+                markers = shapes.ellipse((0.1, 0.2), center, angle + step, 40)
+                file.write((step, 0.1 * step, k, *markers.ravel()))
+    found = defaults.places(runs.Outcome(runs.Run({}), str(tmp_path), runs.FINISHED), settings)
+    again = options.read({**given, **{name: text_of(value) for name, value in found.items()}})
+    for vesicle, (center, angle) in zip(again.each_vesicle(), placed):
+        assert vesicle.center == pytest.approx(center)
+        assert (vesicle.angle - angle + 90) % 180 == pytest.approx(90)
 
 
 def test_grids_may_be_asked_for(tmp_path):

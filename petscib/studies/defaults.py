@@ -4,8 +4,9 @@ Shapes are compared at the end with centroids laid upon each other, places as th
 distance of a marker from the finer curve, wherever along it, relative to the radius of the circle
 of the vesicle's perimeter.  Area and perimeter are compared with their first values, at every step;
 the perimeter of a membrane that has a rest length is free to change.  Velocities, of scenes without
-a vesicle, are compared by the root of their mean square.  The finer run takes half the time step.
-Both take -fft, which changes solvers and no answers.
+a vesicle, are compared by the root of their mean square.  The finer run takes half the time step,
+and vesicles where the scene's arrangement, which depends on the grid, has put them.  Both take
+-fft, which changes solvers and no answers.
 """
 
 import os
@@ -16,6 +17,7 @@ from scipy.interpolate import CubicSpline
 
 from .. import options
 from ..membranes.geometry import perimeter
+from ..output import tables
 from ..scenes import SCENES
 from . import report
 from .campaign import Campaign
@@ -52,8 +54,10 @@ def study(campaign, scenes, time_limit, **changed):
         progress, declared = f"{number}/{len(scenes)}", dict(changed, scene=name, fft=True)
         settings = settings_of(declared, campaign.output)
         ours = campaign.run(name, declared, time_limit, progress)
-        finer = campaign.run(f"{name}, finer", declare_finer(declared, settings), time_limit,
-                             progress)
+        finer = declare_finer(declared, settings)
+        if settings.arrangement != "none" and ours.finished:
+            finer.update(places(ours, settings))
+        finer = campaign.run(f"{name}, finer", finer, time_limit, progress)
         records.append(_record(name, settings, ours, finer))
     campaign.write(COLUMNS, [[one.get(column) for column in COLUMNS] for one in records],
                    _markdown(records))
@@ -76,7 +80,24 @@ def declare_finer(declared, settings):
         finer["delta"] = "bspline43"
     if settings.markers:
         finer["markers"] = 2 * settings.markers
+    if settings.contact:
+        finer["contact_range"] = 2 * settings.contact_range  # which is told in cells
     return finer
+
+
+def places(outcome, settings):
+    """Options that put ellipses where a run has had them at its start."""
+    found = {"arrangement": "none"}
+    for step, _, k, markers in tables.read_outlines(os.path.join(outcome.folder, "outlines.csv")):
+        if step > 0:
+            break
+        center = markers.mean(axis=0)
+        long_axis = np.linalg.svd(markers - center)[2][0]
+        rx, ry = settings.each_vesicle()[k].axes
+        upright = 90.0 if ry > rx else 0.0
+        found[f"vesicle_{k}_center"] = tuple(map(float, center))
+        found[f"vesicle_{k}_angle"] = float(np.degrees(np.arctan2(*long_axis[::-1])) - upright)
+    return found
 
 
 def _record(name, settings, ours, finer):
