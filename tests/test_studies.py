@@ -16,6 +16,7 @@ from petscib.studies import (
     convergence,
     cputime,
     defaults,
+    gallery,
     maxstep,
     methods,
     report,
@@ -512,6 +513,18 @@ def test_grids_may_be_asked_for(tmp_path):
     one = Campaign.from_command_line("some", "", asked)
     assert one.grids(64) == (16, 24)
     assert Campaign.from_command_line("some", "", asked[2:]).grids(64, 128) == (64, 128)
+
+
+def test_gallery(campaign):
+    one = campaign("gallery")
+    words = dict(ts_max_steps=2, stag_grid_x=32, ts_dt=0.02)
+    pictures = gallery.study(one, ("taylor-green", "elastic"), ("elastic",), words, 60)
+    assert pictures == {"taylor-green": ["taylor-green.png"],
+                        "elastic": ["elastic.png", "elastic.gif"]}
+    page = open(one.path("gallery.md")).read()
+    for name in sum(pictures.values(), []):
+        assert f"]({name})" in page and os.path.getsize(one.path(name)) > 1000
+    assert "./run -scene elastic" in page
 
 
 def test_vesicles(campaign):

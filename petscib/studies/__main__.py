@@ -8,7 +8,7 @@ import sys
 from .campaign import add_options
 
 STUDIES = ("truth", "defaults", "tolerance", "workprecision", "convergence", "maxstep", "cputime",
-           "tanktreading", "stability", "iterations", "navierstokes", "vesicles")
+           "tanktreading", "stability", "iterations", "navierstokes", "vesicles", "gallery")
 
 
 def main(arguments=None):
