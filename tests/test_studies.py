@@ -407,6 +407,7 @@ def test_stability(campaign):
 def test_the_order_of_a_quantity():
     assert truth.triples((32, 48, 64, 96, 128)) == [(32, 64, 128)]
     assert truth.order(1.16, 1.04, 1.01) == pytest.approx(2.0)
+    assert truth.order(1.16, 1.04, 1.05) is None is truth.order(1.16, 1.14, 1.0)
     assert truth.fitted_order({32: 0.16, 64: -0.04, 128: 0.01}) == pytest.approx(2.0)
     assert truth.fitted_order({32: 0.16}) is None
     among = [dict(cells=cells, value=1 + error, error=error)

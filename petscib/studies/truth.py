@@ -193,8 +193,12 @@ def _least(reduced, cells, outcome):
 
 
 def order(coarse, middle, fine):
-    """Observed order of values on three grids, each twice as fine as the one before."""
-    return float(np.log2(abs(coarse - middle) / abs(middle - fine)))
+    """Observed order of values on three grids, each twice as fine as the one before.
+
+    None where they do not draw nearer to a limit from one side, and there is none to be seen.
+    """
+    ratio = (coarse - middle) / (middle - fine)
+    return float(np.log2(ratio)) if ratio > 1 else None
 
 
 def fitted_order(errors):
@@ -243,7 +247,8 @@ def _markdown(records, shapes, drifts):
     grids = sorted({one["cells"] for one in records})
     parts = ["Against boundary integrals (Stokes flow, shear rate 1, c_b = 0.01); scheme gcn "
              "(treading uncorrected: mbe). Orders: by three grids, each twice as fine as the one "
-             "before, which needs no truth; and of the errors over all grids, by a fit.\n"]
+             "before, which needs no truth (a dash where they do not draw nearer to a limit from "
+             "one side); and of the errors over all grids, by a fit.\n"]
 
     def table(title, rows):
         if rows:
@@ -343,15 +348,15 @@ def _draw_errors(axis, records):
                         [abs(one["relative_error"]) for one in found], linestyle=line, **style)
     cells = sorted({one["cells"] for one in _select(records, problem="treading")})
     if cells:
-        axis.set_xlim(cells[0] / 1.1, cells[-1] * 1.4)
-        axis.set_xticks(cells, [str(count) for count in cells])
-        axis.minorticks_off()
         lines = np.array(cells, float)
         for power in (1, 2):
             axis.loglog(lines, 0.05 * (lines[0] / lines) ** power, color="k", linewidth=0.8,
                         linestyle="-" if power == 1 else "--")
             axis.annotate(f" order {power}", (lines[-1], 0.05 * (lines[0] / lines[-1]) ** power),
                           fontsize=9, va="center")
+        axis.set_xlim(cells[0] / 1.1, cells[-1] * 1.4)
+        axis.set_xticks(cells, [str(count) for count in cells])
+        axis.minorticks_off()
     axis.set(xlabel="cells across (b = 0.1 dotted, 0.25 solid, 0.4 dashed)",
              ylabel="relative error of $f$")
 
