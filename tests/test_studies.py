@@ -305,7 +305,7 @@ def test_a_crash_among_results_is_none_of_them(campaign, launcher, tmp_path, cap
     first, *others = maxstep.study(one, (16,), (1e7,), explicit_steps=2, octave=1, time_limit=60,
                                    schemes=("be", "gbe"), smallest=32.0)
     assert first["relation"] != maxstep.UNKNOWN and first["dt"] > 0
-    assert [record["relation"] for record in others[-2:]] == [maxstep.UNKNOWN] * 2
+    assert [record["relation"] for record in others[1:]] == [maxstep.UNKNOWN] * 2
     assert_results(one)
     assert "| no result |" in open(one.path("maxstep.md")).read()
 

@@ -1,8 +1,8 @@
 """Stiff and extreme cases: what each scheme survives, and what it keeps of the energy law.
 
 One property of a resting vesicle (0.1, 0.5) at a time is taken to its extremes, for every scheme:
-the paper's by its literal method, and all with kink correction and area kept.  Further cases are
-further lines of `cases`.
+those of the paper's tables by its literal method, and all with kink correction and area kept.
+Further cases are further lines of `cases`.
 """
 
 import sys
@@ -190,8 +190,8 @@ def _markdown(records, chosen, series):
     span = f"{steps[0]} to {steps[-1]}" if len(steps) > 1 else str(*steps)
     parts = [f"Runs of {span} steps from rest; shear runs from the background flow. The base is a "
              f"vesicle {AXES} on {CELLS}^2 with dt = h, sigma0 = 1e5, c_b = 0.01, rho = mu = 1. "
-             "The paper's schemes by its literal method, then all with kink correction and area "
-             "kept.\n"]
+             "Those of the paper's tables by its literal method, then all with kink correction and "
+             "area kept.\n"]
     entries = {(one["group"], one["case"], one["scheme"], one["method"]): one for one in records}
 
     def table(title, entry, note=""):

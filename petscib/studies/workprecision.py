@@ -7,8 +7,8 @@ shear flow is compared with the truth of boundary integrals (`reference`) when i
 and inertia makes no difference: relative errors of inclination and treading frequency, averaged
 over a unit of strain.  Area and perimeter are compared with their first values.
 
-Uncorrected is the paper's literal method, of its own schemes (gbe and gcn take four to eight times
-as long without the corrections as with them); corrected runs take the kernel bspline43, whose
+Uncorrected is the paper's literal method, of the schemes of its tables (without the corrections the
+coupled ones are factored whole in every step); corrected runs take the kernel bspline43, whose
 errors are the least with the corrections.  Time is that of the processor.
 """
 
