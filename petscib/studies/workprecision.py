@@ -247,17 +247,19 @@ def _setting(record):
 
 def _draw(path, records, stiffnesses):
     panels = [(case, sigma0) for case in CASES for sigma0 in stiffnesses]
-    columns = max(len(case.quantities) for case in CASES.values())
-    with report.picture(path, 13.5, 3.4 * len(panels), rows=len(panels), columns=columns) as (
-            figure, axes):
+    drawn = {name: [one for one in case.quantities if one != "area"]  # which is kept, or is not
+             for name, case in CASES.items()}
+    columns = max(map(len, drawn.values()))
+    with report.picture(path, 3.4 * columns, 3.2 * len(panels), rows=len(panels),
+                        columns=columns) as (figure, axes):
         for row, (case, sigma0) in zip(axes, panels):
             among = _select(records, case=case, sigma0=sigma0)
-            for axis, name in zip(row, CASES[case].quantities):
+            for axis, name in zip(row, drawn[case]):
                 _draw_panel(axis, among, name)
                 axis.set_title(f"{case}: error of {TITLES[name]}, $\\sigma_0$ = "
                                f"{report.number(sigma0, 1)}", fontsize=10)
                 axis.set_xlabel("processor seconds")
-        report.legend_below(figure, max(axes[:, 0], key=_entries), 8)
+        report.legend_below(figure, max(axes[:, 0], key=_entries), 5)
 
 
 def _entries(axis):
