@@ -12,6 +12,7 @@ equilibrium, so grid and markers are point-symmetric and the centroid is watched
 
 import os
 import sys
+from functools import cache
 
 import numpy as np
 
@@ -63,6 +64,7 @@ def study(campaign, cells, reduced_areas, shear_rates, time_limit, last_strain=L
     return records
 
 
+@cache
 def ellipse_axes(reduced, perimeter=PERIMETER):
     """Semi-axes (rx, ry), rx <= ry, of the ellipse of a reduced area and a perimeter."""
     low, high = 0.0, 1.0
