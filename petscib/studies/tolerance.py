@@ -25,8 +25,8 @@ CASES = {
     "relaxation": dict(scene="relaxation", ts_max_time=2.0),
     "treading": dict(scene="tanktreading", ts_max_time=2.0),
 }
-# Four decades of each, of about the same cost.
-TOLERANCES = {"gcn": (1e-3, 1e-4, 1e-5, 1e-6, 1e-7), "mbe": (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)}
+# The next decade would take mbe ten thousand steps.
+TOLERANCES = {"gcn": (1e-3, 1e-4, 1e-5, 1e-6, 1e-7), "mbe": (1e-2, 1e-3, 1e-4, 1e-5)}
 REFERENCE = 1e-9  # its error is some 30 times below the smallest of the others
 FIXED = {"gcn": range(-2, 6), "mbe": range(0, 7)}  # time steps h / 2^k
 COLUMNS = ("case", "scheme", "rtol", "dt", "status", "reason", "steps", "seconds", "error",
