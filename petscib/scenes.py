@@ -118,9 +118,9 @@ _SCENES = (
         "settling",
         "a vesicle sinks by its weight",
         dict(domain=(-1.0, 1.0, -2.0, 1.0), stag_grid_x=64, axes=(0.2, 0.3), center=(0.1, 0.4),
-             angle=30.0, load=(0.0, -4.0), sigma0=1e5, bending=0.01, scheme="gbe",
+             angle=30.0, load=(0.0, -4.0), sigma0=1e5, bending=0.01, scheme="gcn",
              delta="bspline43", ts_max_time=3.0),
-        cfl=1.0,
+        cfl=4.0,
     ),
     Scene(
         "ripple",
@@ -134,7 +134,7 @@ _SCENES = (
     Scene(
         "driven",
         "Poiseuille flow without a vesicle: a steady state, which the coupled schemes keep",
-        dict(flow="poiseuille", shear_rate=1.0, vesicles=0, ts_max_time=1.0),
+        dict(flow="poiseuille", shear_rate=1.0, vesicles=0, scheme="be", ts_max_time=1.0),
         cfl=0.5,
     ),
     Scene(
