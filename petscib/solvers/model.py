@@ -184,17 +184,17 @@ class MarkerModel:
         elif self._rates is not None and abs(rates - self._rates).max() <= KEPT * abs(rates).max():
             return
         self._rates = rates
-        stress = self._stress.matrix(interval, operators)
+        stress = self._stress.values(interval, operators)
         if self._link is None:
             self._link = Product(operators.rates, self._phi)
-        link = self._link.matrix(operators.rates.data, self._phi.data)
+        link = self._link.values(rates, self._phi.data)
         if self._order is None:
-            self._begin(stress, link)
-        values = np.concatenate([stress.data, link.data, self._fixed])[self._order]
-        self.direct.factor(csr_matrix((values, *self._pattern), self._shape))
+            self._lay_out(self._stress.product.csr(stress), self._link.csr(link))
+        np.take(np.concatenate([stress, link, self._fixed]), self._order, out=self._upper.data)
+        self.direct.factor(self._upper)
 
-    def _begin(self, stress, link):
-        """Lay out the upper triangle, and which value goes where in it."""
+    def _lay_out(self, stress, link):
+        """Make the upper triangle, and say which value goes where in it."""
         blocks = block_diag(self._blocks, format="csr")
         self._fixed = blocks.data
         parts, first = [], 1  # numbers from 1 on, as a sparse matrix may drop zeros
@@ -206,8 +206,7 @@ class MarkerModel:
         whole = bmat([[stress, hstack([link] * len(self._blocks))], [None, blocks]])
         upper = triu(whole).tocsr()
         upper.sort_indices()
-        self._order = upper.data.astype(int) - 1
-        self._pattern, self._shape = (upper.indices, upper.indptr), upper.shape
+        self._order, self._upper = upper.data.astype(int) - 1, upper
         self._rows = stress.shape[0]
         self._rhs = np.zeros(upper.shape[0])
 
@@ -224,13 +223,30 @@ class MarkerModel:
 
 
 class StressMatrix:
-    """1 / (theta dt) + C K C^T, always with the same entries.  Not collective; on rank 0."""
+    """1 / (theta dt) + C K C^T, always with the same entries.  Not collective; on rank 0.
+
+    Attributes
+    ----------
+    product : Product
+        Makes a matrix of its values; from the first of these on.
+    """
 
     def __init__(self):
-        self._along = self._square = None
+        self.product = None
 
-    def matrix(self, interval, operators):
-        """The sparse matrix for theta dt = `interval` and a configuration.
+    def _begin(self, rates, count):
+        columns = np.repeat(np.arange(count), 2)
+        root = csr_matrix(
+            (np.ones(2 * count), columns, np.arange(2 * count + 1)), (2 * count, count))
+        self._along = Product(rates, root)
+        along = self._along.csr(np.arange(1.0, len(self._along.indices) + 1))
+        transposed = along.T.tocsr()
+        self._transposed = transposed.data.astype(int) - 1
+        self.product = Product(along, transposed)
+        self._diagonal = np.flatnonzero(self.product.rows == self.product.indices)
+
+    def values(self, interval, operators):
+        """Its values for theta dt = `interval` and a configuration.
 
         Parameters
         ----------
@@ -239,21 +255,16 @@ class StressMatrix:
             With a `slip`.
         """
         rates, slip = operators.rates, operators.slip
-        count = len(slip.mobility)
-        if self._along is None:
-            columns = np.repeat(np.arange(count), 2)
-            self._root = csr_matrix(
-                (np.ones(2 * count), columns, np.arange(2 * count + 1)), (2 * count, count))
-            self._along = Product(rates, self._root)
+        if self.product is None:
+            self._begin(rates, len(slip.mobility))
         # K is the square of this: along each marker's tangent.
         root = (np.sqrt(slip.mobility)[:, None] * slip.tangent).ravel()
-        along = self._along.matrix(rates.data, root)
-        if self._square is None:
-            numbers = csr_matrix((np.arange(1.0, along.nnz + 1), along.indices, along.indptr),
-                                 along.shape).T.tocsr()
-            self._transposed = numbers.data.astype(int) - 1
-            self._square = Product(along, numbers)
-            self._diagonal = np.flatnonzero(self._square.rows == self._square.indices)
-        square = self._square.matrix(along.data, along.data[self._transposed])
-        square.data[self._diagonal] += 1 / interval
+        along = self._along.values(rates.data, root)
+        square = self.product.values(along, along[self._transposed])
+        square[self._diagonal] += 1 / interval
         return square
+
+    def matrix(self, interval, operators):
+        """The sparse matrix."""
+        values = self.values(interval, operators)
+        return self.product.csr(values)
