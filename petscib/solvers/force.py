@@ -185,7 +185,7 @@ class Force:
             if self._free_velocity is not None:
                 self._free_velocity = self._near.gather(self._base)
         interpolation.use(self._near, matrix)
-        self._interpolation, self._spreading = matrix, matrix.T / self.fluid.grid.cell_area
+        self._interpolation, self._spreading = matrix, matrix.T
 
     def _carry(self, velocity):
         """Pi J w for velocities near the markers."""
@@ -193,7 +193,8 @@ class Force:
 
     def _spread(self, force):
         """J^T Pi f / (dx dy), the force per area near the markers."""
-        return self._spreading @ self.operators.project(force).ravel()
+        density = self.operators.project(force) / self.fluid.grid.cell_area
+        return self._spreading @ density.ravel()
 
     def _moved_by(self, force):
         """(H' + K) f for forces on the markers."""

@@ -16,7 +16,7 @@ s2 the variance of the kernel, this is exp(-s2 h^2 k^2) R(k) / ds with
     R(k) = erfcx(sqrt(s2) h kappa) / (2 mu kappa),    kappa^2 = k^2 + rho / (mu theta dt).
 
 R is fitted by a few poles, sum_j c_j / (p_j^2 + k^2), and the exponential is the square of the
-kernel sampled along the curve, Phi.  What it passes on is smooth, so that *stations* along the curve
+kernel sampled along the curve, Phi.  What it passes on is smooth, so that *stations* along it
 do that lie less densely than markers; Phi interpolates between both.  With one more unknown y_j a
 station, component and pole,
 
