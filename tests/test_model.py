@@ -44,7 +44,7 @@ def test_products_are_those_of_the_dense_matrices():
     for seed in (3, 4):
         generator = np.random.default_rng(seed)
         first.data, second.data = (generator.standard_normal(part.nnz) for part in (first, second))
-        found = product.matrix(first.data, second.data)
+        found = product.csr(product.values(first.data, second.data))
         np.testing.assert_allclose(found.toarray(), first.toarray() @ second.toarray(), atol=1e-14)
 
 
@@ -54,7 +54,7 @@ def test_entries_of_products_stay_where_they_are():
     second = csr_matrix(np.array([[1.0, 3.0], [1.0, 0.0]]))
     product = Product(first, second)
     for a, b in ((np.ones(3), np.ones(3)), (np.array([1.0, -1.0, 0.0]), np.ones(3))):
-        found = product.matrix(a, b)
+        found = product.csr(product.values(a, b))
         assert found.nnz == 3 and found.indices.tolist() == [0, 1, 0]
         assert found.indptr.tolist() == [0, 2, 3]
     assert found.toarray().tolist() == [[0.0, 1.0], [0.0, 0.0]]

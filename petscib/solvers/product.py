@@ -38,7 +38,3 @@ class Product:
     def csr(self, values):
         """The matrix with these values."""
         return csr_matrix((values, self.indices, self.indptr), self.shape)
-
-    def matrix(self, first, second):
-        """The product for the values of the factors."""
-        return self.csr(self.values(first, second))
