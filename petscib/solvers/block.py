@@ -29,7 +29,7 @@ class Block:
 
     def __init__(self, fluid, membranes, kernel):
         self.fluid = fluid
-        self.model = MarkerModel(membranes.curves, fluid.grid, kernel, fluid.rho, fluid.mu,
+        self.model = MarkerModel(membranes.curves, fluid.grid, kernel, fluid.rho, fluid.near,
                                  fluid.share, fluid.prefix + "model_")
         rows = membranes.stress_count
         self._unknowns, self._rhs = ([*fluid.blocks(), krylov.vector_on_root(rows, fluid.grid.comm)]

@@ -97,7 +97,9 @@ class MarkerModel:
     curves : Curves
     grid : Grid
     kernel : Kernel
-    rho, mu : float
+    rho : float
+    mu : float or ndarray, shape (V,)
+        Viscosity, that of each curve.
     share : float
         Share of the answer that is without divergence: 1/2 of a force's in the coupled system, or
         all of it, 1, in the momentum system.
@@ -106,7 +108,8 @@ class MarkerModel:
     """
 
     def __init__(self, curves, grid, kernel, rho, mu, share, prefix):
-        self.curves, self.rho, self.mu, self.share = curves, rho, mu, share
+        self.curves, self.rho, self.share = curves, rho, share
+        self.mu = np.mean(mu)
         self.direct = Cholesky(prefix)
         self._stress, self._link = StressMatrix(), None
         self._order = self._interval = None
@@ -122,7 +125,10 @@ class MarkerModel:
         second = _along(curves, second, np.arange(-1, 2))
         second.setdiag(second.diagonal() - second @ np.ones(len(curves.ds)))  # at open ends
         self._second = kron(second, identity(2), format="csr")
-        self._scale = diags(np.repeat(curves.ds, 2))
+        scale = curves.ds
+        if np.ndim(mu) and curves.count:  # the answer of each curve in proportion
+            scale = scale * curves.spread(mu / self.mu)
+        self._scale = diags(np.repeat(scale, 2))
         longest = max(np.diff(curves.starts) * curves.ds[curves.starts[:-1]], default=1.0)
         self._wavenumbers = np.geomspace(2 * np.pi / longest, 3 / h, 60)
         self._range = 2 * np.pi / longest, 2 / h

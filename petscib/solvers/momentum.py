@@ -34,6 +34,8 @@ class Momentum:
         A0, symmetric positive definite; wall faces have decoupled rows.
     interval : float or None
         The theta dt that the matrix is made for.
+    least : float
+        The viscosity that it is made with.
     """
 
     name, prefix = "momentum", "momentum_"
@@ -45,7 +47,7 @@ class Momentum:
 
     def __init__(self, operators, rho, mu, transform=None, advection=None):
         self.operators, self.grid = operators, operators.grid
-        self.rho, self.mu = rho, mu
+        self.rho, self.mu, self.least = rho, mu, mu
         self.transform = transform
         self.advection = advection
         if advection is not None:  # then products are not symmetric
@@ -55,15 +57,25 @@ class Momentum:
         self.matrix.setOption(PETSc.Mat.Option.SPD, True)
         self._inner = None
 
+    @property
+    def exact(self):
+        """Whether transforms solve the system, and answer forces near the markers, exactly."""
+        return self.transform is not None
+
+    @property
+    def near(self):
+        """Viscosity at each membrane, for the model of its answer."""
+        return self.mu
+
     def update(self, interval):
         """Make the system for theta dt = `interval`.  Returns whether it changed."""
         if interval == self.interval:
             return False
         self.operators.laplacian.copy(self.matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        self.matrix.scale(-self.mu)
+        self.matrix.scale(-self.least)
         self.matrix.shift(self.rho / interval)
         if self.transform is not None:
-            self.transform.set_coefficients(self.rho / interval, self.mu)
+            self.transform.set_coefficients(self.rho / interval, self.least)
         self.interval = interval
         return True
 
@@ -95,6 +107,10 @@ class Momentum:
         if self.advection is not None:
             self.advection.add(x[0], y[0])
 
+    def add_to(self, matrix):
+        """Add A0 to an assembled matrix."""
+        matrix.axpy(1.0, self.matrix, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+
     def solve(self, rhs, velocity, pressure=None):
         """Solve A0 w = rhs exactly, by transforms."""
         self.transform.solve(rhs, velocity)
@@ -104,16 +120,20 @@ class Momentum:
         return self.transform.window(faces)
 
     def precondition(self, rhs, answer):
-        """Set answer to about A0^{-1} rhs, lists of blocks: one multigrid cycle, or exactly."""
+        """Set answer to about A0^{-1} rhs, lists of blocks."""
+        self.precondition_velocity(rhs[0], answer[0])
+
+    def precondition_velocity(self, rhs, velocity):
+        """Set velocity to about A0^{-1} rhs: by one multigrid cycle, or exactly."""
         if self.transform is not None:
-            self.transform.solve(rhs[0], answer[0])
+            self.transform.solve(rhs, velocity)
             return
         if self._inner is None:
             self._inner = krylov.create(
                 self.matrix, self.prefix + "velocity_", VELOCITY_DEFAULTS)
         self._inner.setOperators(self.matrix)
-        answer[0].set(0.0)
-        krylov.solve(self._inner, rhs[0], answer[0], "velocity", krylov.advice(self._inner))
+        velocity.set(0.0)
+        krylov.solve(self._inner, rhs, velocity, "velocity", krylov.advice(self._inner))
 
     def view(self, viewer):
         """Show what preconditions."""
