@@ -9,7 +9,7 @@ with I = 0 in a corner of the box, cut off at 0 and 1.  The viscosity is the har
 
     1 / mu = (1 - I) / mu_o + I / mu_i
 
-at cells, and with the mean of four of them at corners.  Viscous forces are
+at cells, and the mean of four of them at corners.  Viscous forces are
 
     mu_min Laplacian u - E^T D (E u + e_walls),    D = weights (mu - mu_min),
 
@@ -47,7 +47,7 @@ class Viscosity:
     least : float
         mu_min.
     cells, faces : PETSc.Vec
-        mu at cells, and at faces by the mean of 1 / mu of the cells beside them.
+        mu at cells, and at faces the mean of the cells beside them.
     stresses : PETSc.Vec
         Stress over strain rate at the places of the strain rates: 2 mu and mu.
     version : int
@@ -91,10 +91,9 @@ class Viscosity:
             fluidity += (1 / value - 1 / self.outer) * indicator
         # Where membranes come near each other, the sum of their indicators may be above 1.
         self.cells.getArray()[:] = np.clip(fluidity, 1 / self.most, 1 / self.least)
+        self.cells.reciprocal()
         for means, mu in ((self._to_faces, self.faces), (self._to_strain, self.stresses)):
             means.mult(self.cells, mu)
-            mu.reciprocal()
-        self.cells.reciprocal()
         weights = self.strain.weights
         self.stresses.copy(self._excess)
         self._excess.shift(-self.least)
