@@ -70,8 +70,11 @@ class Viscosity:
 
     @property
     def near(self):
-        """Mean of the viscosities on both sides of each membrane, shape (V,)."""
-        return (self.outer + self.inner) / 2
+        """Viscosity that each membrane feels in long waves, and in short ones, shapes (V,).
+
+        It is the mean of both sides, and that of 1 / mu, which is what smoothing leaves of them.
+        """
+        return (self.outer + self.inner) / 2, 2 / (1 / self.outer + 1 / self.inner)
 
     def place(self, markers):
         """Follow the membranes.  Collective.
@@ -171,14 +174,13 @@ class Viscosity:
         stresses.destroy()
         return dissipation, power
 
-    def add_to(self, matrix):
-        """Add E^T D E to an assembled matrix."""
+    def matrix(self):
+        """E^T D E as a new assembled matrix."""
         scaled = self.strain.matrix.copy()
         scaled.diagonalScale(L=self._excess)
         product = self.strain.matrix.transposeMatMult(scaled)
-        matrix.axpy(1.0, product, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
         scaled.destroy()
-        product.destroy()
+        return product
 
     def destroy(self):
         """Free vectors, matrices and solver.  Collective."""

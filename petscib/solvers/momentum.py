@@ -34,8 +34,6 @@ class Momentum:
         A0, symmetric positive definite; wall faces have decoupled rows.
     interval : float or None
         The theta dt that the matrix is made for.
-    least : float
-        The viscosity that it is made with.
     """
 
     name, prefix = "momentum", "momentum_"
@@ -47,7 +45,7 @@ class Momentum:
 
     def __init__(self, operators, rho, mu, transform=None, advection=None):
         self.operators, self.grid = operators, operators.grid
-        self.rho, self.mu, self.least = rho, mu, mu
+        self.rho, self.mu = rho, mu
         self.transform = transform
         self.advection = advection
         if advection is not None:  # then products are not symmetric
@@ -64,18 +62,18 @@ class Momentum:
 
     @property
     def near(self):
-        """Viscosity at each membrane, for the model of its answer."""
-        return self.mu
+        """Viscosity that membranes feel in long waves, and in short ones (see `model`)."""
+        return self.mu, self.mu
 
     def update(self, interval):
         """Make the system for theta dt = `interval`.  Returns whether it changed."""
         if interval == self.interval:
             return False
         self.operators.laplacian.copy(self.matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        self.matrix.scale(-self.least)
+        self.matrix.scale(-self.mu)
         self.matrix.shift(self.rho / interval)
         if self.transform is not None:
-            self.transform.set_coefficients(self.rho / interval, self.least)
+            self.transform.set_coefficients(self.rho / interval, self.mu)
         self.interval = interval
         return True
 
@@ -103,9 +101,13 @@ class Momentum:
 
     def mult(self, x, y):
         """y = A0 x, or (A0 + rho N) x with advection, for lists of blocks."""
-        self.matrix.mult(x[0], y[0])
+        self.multiply(x[0], y[0])
         if self.advection is not None:
             self.advection.add(x[0], y[0])
+
+    def multiply(self, x, y):
+        """y = A0 x for velocities."""
+        self.matrix.mult(x, y)
 
     def add_to(self, matrix):
         """Add A0 to an assembled matrix."""

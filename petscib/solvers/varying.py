@@ -1,16 +1,19 @@
 """The fluid where its viscosity varies: A0 = rho / (theta dt) - mu_min Laplacian + E^T D E.
 
-(See `fluid.viscosity`.)  It is preconditioned by the solver of the constant viscosity mu_min, scaled
-from both sides: with s = sqrt(mu / mu_min) at faces, A0 is about s (- mu_min Laplacian) s.  That
-solver, multigrid or transforms, is set up once; multigrid for A0 itself would take more iterations,
-and be set up anew in each step.  The coupled system is preconditioned by the projection method.
+(See `fluid.viscosity`.)  Multigrid for A0 is made of its part that does not couple u and v, anew in
+each step: for A0 itself the coarse grids are poor, and for constant viscosity, scaled by that at
+each face, it takes twice the iterations at contrasts of 0.1 and 10 (`studies.contrast`).  The
+transforms, which know nothing but constant viscosity, are scaled: with s = sqrt(mu / mu_min) at
+faces, A0 is about s (- mu_min Laplacian) s.  The coupled system is preconditioned by the projection
+method.
 """
 
 import numpy as np
+from petsc4py import PETSc
 
 from .momentum import Momentum
-from .stokes import POISSON_DEFAULTS, Stokes
 from .poisson import PoissonSolver
+from .stokes import POISSON_DEFAULTS, Stokes
 
 
 class Varying:
@@ -26,49 +29,87 @@ class Varying:
         Exact solver for constant viscosity; without it, multigrid.
     advection : Advection, optional
         As in Momentum.
+
+    Attributes
+    ----------
+    matrix : PETSc.Mat
+        A0 without what couples u and v, symmetric positive definite: what multigrid is made of.
     """
 
     exact = False
 
     def __init__(self, operators, rho, viscosity, transform=None, advection=None):
         super().__init__(operators, rho, viscosity.outer, transform, advection)
-        self.viscosity, self.least = viscosity, viscosity.least
-        self.defaults = {**self.defaults, "pc_type": "python"}
+        self.viscosity = viscosity
+        if transform is not None:
+            self.defaults = {**self.defaults, "pc_type": "python"}
+        grid = self.grid
         self._inner_faces = operators.uniform_force((1.0, 1.0))
-        self._scale, self._scaled = self.grid.velocity_vector(), self.grid.velocity_vector()
+        self._scale, self._scaled = grid.velocity_vector(), grid.velocity_vector()
+        self._is_u = np.zeros(self._scale.getSize(), dtype=bool)
+        self._is_u[grid.u_index] = True
         self._version = None
 
     @property
     def near(self):
-        """Viscosity at each membrane, for the model of its answer: the mean of both sides."""
+        """Viscosities at each membrane, for the model of its answer to long waves and to short."""
         return self.viscosity.near
 
     def update(self, interval):
         """Make the system for theta dt = `interval` and the viscosity.  Returns if it changed."""
-        changed = super().update(interval)
-        if not changed and self._version == self.viscosity.version:
+        viscosity = self.viscosity
+        if interval == self.interval and self._version == viscosity.version:
             return False
-        self._version = self.viscosity.version
-        relative = self.viscosity.faces.getArray(readonly=True) / self.least
-        inner = self._inner_faces.getArray(readonly=True)
-        self._scale.getArray()[:] = np.where(inner, 1 / np.sqrt(relative), 1.0)
+        if self.transform is None:
+            self._make_matrix(interval)
+        else:
+            self.transform.set_coefficients(self.rho / interval, viscosity.least)
+            relative = viscosity.faces.getArray(readonly=True) / viscosity.least
+            inner = self._inner_faces.getArray(readonly=True)
+            self._scale.getArray()[:] = np.where(inner, 1 / np.sqrt(relative), 1.0)
+        self.interval, self._version = interval, viscosity.version
         return True
 
-    def mult(self, x, y):
-        """y = A0 x, and what else belongs to the system, for lists of blocks."""
-        super().mult(x, y)
-        self.viscosity.add_force(x[0], y[0], 1.0)
+    def _make_matrix(self, interval):
+        """Set A0 without the entries that couple u and v; they are where the Laplacian has some."""
+        self.operators.laplacian.copy(self.matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        self.matrix.scale(-self.viscosity.least)
+        self.matrix.shift(self.rho / interval)
+        excess = self.viscosity.matrix()
+        starts, columns, values = excess.getValuesCSR()
+        excess.destroy()
+        rows = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
+        first = self.matrix.getOwnershipRange()[0]
+        keep = self._is_u[rows + first] == self._is_u[columns]
+        keep &= values != 0  # none on walls
+        starts = np.concatenate(([0], np.cumsum(np.bincount(rows[keep], minlength=len(starts) - 1))))
+        self.matrix.setValuesCSR(starts.astype(PETSc.IntType), columns[keep], values[keep],
+                                 addv=PETSc.InsertMode.ADD_VALUES)
+        self.matrix.assemble()
+
+    def multiply(self, x, y):
+        """y = A0 x for velocities."""
+        self.operators.laplacian.mult(x, y)
+        y.axpby(self.rho / self.interval, -self.viscosity.least, x)
+        self.viscosity.add_force(x, y, 1.0)
 
     def precondition_velocity(self, rhs, velocity):
         """Set velocity to about A0^{-1} rhs."""
+        if self.transform is None:
+            super().precondition_velocity(rhs, velocity)
+            return
         self._scaled.pointwiseMult(rhs, self._scale)
         super().precondition_velocity(self._scaled, velocity)
         velocity.pointwiseMult(velocity, self._scale)
 
     def add_to(self, matrix):
         """Add A0 to an assembled matrix."""
-        super().add_to(matrix)
-        self.viscosity.add_to(matrix)
+        different = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
+        matrix.axpy(-self.viscosity.least, self.operators.laplacian, different)
+        matrix.shift(self.rho / self.interval)
+        excess = self.viscosity.matrix()
+        matrix.axpy(1.0, excess, different)
+        excess.destroy()
 
     def destroy(self):
         """Free matrix and solvers.  Collective."""
