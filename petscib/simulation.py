@@ -10,7 +10,7 @@ from time import perf_counter, sleep
 
 from petsc4py import PETSc
 
-from . import accuracy, energy, events, guard, schemes, solver_options
+from . import accuracy, energy, events, guard, schemes, solver_options, turning
 from .agreement import Agreement, on_rank, on_root
 from .diagnostics import Diagnostics
 from .errors import Crash, CrossingError, InputError, OutputError, SolveError, WallError, ours
@@ -110,6 +110,8 @@ class Simulation:
                     settings, self.state.markers, self.problem.curves)
             on_root(self.comm, lambda: self._check_start(header))
             self._make_scheme()
+            if self.problem.membranes is not None:
+                turning.begin(self.problem, self.state)
             self.diagnostics = Diagnostics(self.problem, self.progress.reference or None)
             self.local_error = None
             if settings.ts_rtol is not None:
@@ -363,6 +365,7 @@ class Simulation:
         step = self.scheme.step(self.state, dt)
         with phase("checks"):
             guard.check(self.problem, step.end)
+            turning.follow(self.problem, step)
             if self.local_error is not None:
                 self.missed = self.local_error.measure(step)
         return step
