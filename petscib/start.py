@@ -15,8 +15,7 @@ from .output import checkpoint
 from .problem import Problem, State
 from .solvers import poisson
 
-# The solver of the indicator of the membranes' insides.  It is solved for once a step, from zero, so
-# that a restart is the uninterrupted run.
+# The solver of the indicator of the membranes' insides, once a step.
 INDICATOR = {"prefix": "poisson_indicator_", "defaults": {**poisson.DEFAULTS, "ksp_rtol": 1e-10}}
 
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from .membranes import geometry
 
-# In a state's history, on rank 0: of each vesicle the angle turned to, that of the last half turn, the
-# time of the latter, and how long it took (not a number before the first).
+# In a state's history, on rank 0: of each vesicle the angle turned to, that of the last half turn,
+# the time of the latter, and how long it took (not a number before the first).
 TURNING = "turning"
 
 

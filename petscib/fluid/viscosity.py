@@ -18,7 +18,6 @@ matrix with all of mu is - mu Laplacian where mu is constant; symmetric and defi
 """
 
 import numpy as np
-from petsc4py import PETSc
 
 from ..coupling.interpolation import Interpolation
 from ..membranes.geometry import signed_area

@@ -277,8 +277,8 @@ def closing_lines(summary):
     Returns
     -------
     list of str
-        The frequency is that of vesicles that tread; of those that tumble it is the time of their
-        last half turn.  The inclination and both are left out without a vesicle or a flow, the errors
+        The frequency is that of vesicles that tread; those that tumble have the time of their last
+        half turn instead.  Inclination and both are left out without a vesicle or a flow, the errors
         without a vesicle. Several vesicles share a line; of their errors the largest is given.
     """
     row = summary.get("last_row") or {}

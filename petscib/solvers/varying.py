@@ -15,8 +15,8 @@ from .momentum import Momentum
 from .poisson import PoissonSolver
 from .stokes import POISSON_DEFAULTS, Stokes
 
-# Largest ratio of viscosities for which scaled transforms precondition.  For -scheme be, dt = h, they
-# take 0.4 to 0.5 of multigrid's time at ratios of 5 and 10 (64^2, 128^2), 0.7 and 1.5 at 100.
+# Largest ratio of viscosities for which scaled transforms precondition.  For -scheme be, dt = h,
+# they take 0.4 to 0.6 of multigrid's time at ratios of 5 and 10 (64^2, 128^2), 0.7 and 1.5 at 100.
 LARGEST_SCALED = 30.0
 
 
@@ -94,8 +94,9 @@ class Varying:
         first = self.matrix.getOwnershipRange()[0]
         keep = self._is_u[rows + first] == self._is_u[columns]
         keep &= values != 0  # none on walls
-        starts = np.concatenate(([0], np.cumsum(np.bincount(rows[keep], minlength=len(starts) - 1))))
-        self.matrix.setValuesCSR(starts.astype(PETSc.IntType), columns[keep], values[keep],
+        counts = np.bincount(rows[keep], minlength=len(starts) - 1)
+        starts = np.concatenate(([0], np.cumsum(counts))).astype(PETSc.IntType)
+        self.matrix.setValuesCSR(starts, columns[keep], values[keep],
                                  addv=PETSc.InsertMode.ADD_VALUES)
         self.matrix.assemble()
 
