@@ -10,7 +10,7 @@ import numpy as np
 from .membranes import geometry
 
 # In a state's history, on rank 0: of each vesicle the angle turned to, that of the last half turn,
-# the time of the latter, and how long it took (not a number before the first).
+# the time of the latter, and how long it took (0 before the first).
 TURNING = "turning"
 
 
@@ -18,7 +18,7 @@ def begin(problem, state):
     """Start to count from a state, unless its history holds what came before."""
     angles = _inclinations(problem, state.markers)
     state.history.setdefault(TURNING, np.stack(
-        (angles, angles, np.full(len(angles), state.time), np.full(len(angles), np.nan)), axis=1))
+        (angles, angles, np.full(len(angles), state.time), np.zeros(len(angles))), axis=1))
 
 
 def follow(problem, step):
@@ -39,11 +39,16 @@ def follow(problem, step):
 
 
 def measure(state):
-    """Angles in turns, and how long the last half turn took, shapes (V,); on rank 0."""
+    """Angles in turns, and how long the last half turn took, shapes (V,); on rank 0.
+
+    The latter is not a number before the first.
+    """
     turning = state.history[TURNING]
-    return turning[:, 0] / (2 * np.pi), turning[:, 3]
+    return turning[:, 0] / (2 * np.pi), np.where(turning[:, 3] > 0, turning[:, 3], np.nan)
 
 
 def _inclinations(problem, markers):
     curves = problem.membranes.curves
-    return geometry.inclination(markers, curves) if len(markers) else np.zeros(0)
+    if not len(markers):
+        return np.zeros(0)
+    return np.where(curves.encloses, geometry.inclination(markers, curves), 0.0)

@@ -49,8 +49,11 @@ class Varying:
             transform = None
         super().__init__(operators, rho, viscosity.outer, transform, advection)
         self.viscosity = viscosity
+        self.defaults = {**self.defaults, "ksp_max_it": 1000}
+        if self.fast:  # the energy law to 1e-8, as where transforms solve exactly (see `force`)
+            self.defaults["ksp_rtol"] = 1e-10
         if transform is not None:
-            self.defaults = {**self.defaults, "pc_type": "python"}
+            self.defaults["pc_type"] = "python"
         grid = self.grid
         self._inner_faces = operators.uniform_force((1.0, 1.0))
         self._scale, self._scaled = grid.velocity_vector(), grid.velocity_vector()
