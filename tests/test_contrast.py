@@ -440,7 +440,8 @@ TUMBLE = {"scene": "tumbling", "stag_grid_x": "32", "axes": "0.2,0.4", "fft": "y
 
 @pytest.mark.parallel([1, 3])
 @pytest.mark.parametrize("more", [
-    {"scheme": "gcn"}, {"scheme": "mbe", "ts_adapt": "yes"}, {"scheme": "cn", "advection": "explicit"},
+    {"scheme": "gcn"}, {"scheme": "mbe", "ts_adapt": "yes"},
+    {"scheme": "cn", "advection": "explicit"},
     {"scheme": "gbe", "advection": "implicit", "periodic": "x", "body_force": "1,0"},
     {"scheme": "gcn", "ts_rtol": "1e-2"}])
 def test_restarted_equals_uninterrupted(tmp_path, more):
@@ -481,8 +482,8 @@ def test_angles_are_counted_through_half_turns():
         step, angle = Step(), -2.0 * 0.1 * number
         turned = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
         step.start = state
-        step.end = type(state)(number, 0.1 * number, None, None, center + (markers - center) @ turned,
-                               None)
+        step.end = type(state)(
+            number, 0.1 * number, None, None, center + (markers - center) @ turned, None)
         turning.follow(problem, step)
         state = step.end
         turns, took = turning.measure(state)

@@ -278,7 +278,7 @@ def closing_lines(summary):
     -------
     list of str
         The frequency is that of vesicles that tread; those that tumble have the time of their last
-        half turn instead.  Inclination and both are left out without a vesicle or a flow, the errors
+        half turn instead.  All that is left out without a vesicle or a flow, the errors
         without a vesicle. Several vesicles share a line; of their errors the largest is given.
     """
     row = summary.get("last_row") or {}

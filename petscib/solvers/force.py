@@ -122,7 +122,7 @@ class Force:
 
     def __init__(self, fluid, membranes, kernel):
         self.fluid = fluid
-        self.model = MarkerModel(membranes.curves, fluid.grid, kernel, fluid.rho, fluid.near,
+        self.model = MarkerModel(membranes.curves, fluid.grid, kernel, fluid.rho, fluid.mu,
                                  fluid.share, fluid.prefix + "model_")
         self._near = self._interval = self._free_velocity = None
         self._base = fluid.grid.velocity_vector()

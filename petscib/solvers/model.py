@@ -35,9 +35,8 @@ from .product import Product
 
 POLES = 2  # a third saves no iterations (64^2 and 256^2, dt of h/4, h and 16 h)
 
-# Where the viscosity jumps: (s h k)^2 at which a wave feels as much of the smoothed layer as of what
-# is around.  Answers to forces along the normal of a circle, contrasts 0.01 to 100 (64^2): 1.3 to
-# 3.2.
+# Where the viscosity jumps: (s h k)^2 at which a wave feels as much of the smoothed layer as of
+# what is around.  Answers to forces along a circle's normal, contrasts 0.01 to 100, 64^2: 1.3 to 3.2.
 LAYER = 1.8
 
 # Largest change of C, relative to its largest entry, for which a factorisation is kept.  Passes of
@@ -103,20 +102,22 @@ class MarkerModel:
     grid : Grid
     kernel : Kernel
     rho : float
-    mu : (float, float) or (ndarray, ndarray), shapes (V,)
-        Viscosity that a curve feels in long waves, and in short ones.
+    mu : float or ndarray, shape (V,)
+        Viscosity at each curve.
     share : float
         Share of the answer that is without divergence: 1/2 of a force's in the coupled system, or
         all of it, 1, in the momentum system.
     prefix : str
         Options prefix of the direct solver.
+    short : float or ndarray, shape (V,), optional
+        Viscosity for short waves, if another.
     """
 
-    def __init__(self, curves, grid, kernel, rho, mu, share, prefix):
+    def __init__(self, curves, grid, kernel, rho, mu, share, prefix, short=None):
         self.curves, self.rho, self.share = curves, rho, share
         # Of several curves, that of the fit; each has it in proportion.
-        (self.mu, short), mu = map(np.mean, mu), mu[0]
-        self._softer = self.mu / short - 1
+        self.mu = np.mean(mu)
+        self._softer = 0.0 if short is None else np.mean(mu / short) - 1
         self.direct = Cholesky(prefix)
         self._stress, self._link = StressMatrix(), None
         self._order = self._interval = None

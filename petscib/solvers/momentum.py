@@ -62,8 +62,8 @@ class Momentum:
 
     @property
     def near(self):
-        """Viscosity that membranes feel in long waves, and in short ones (see `model`)."""
-        return self.mu, self.mu
+        """Viscosity at each membrane, and that for short waves if another (see `model`)."""
+        return self.mu, None
 
     def update(self, interval):
         """Make the system for theta dt = `interval`.  Returns whether it changed."""
