@@ -7,7 +7,9 @@ setup:
 	@needs="pytest hypothesis"; $(SETUP)
 
 test:
-	@needs="pytest hypothesis"; wants=vtk; $(SETUP); "$$python" -m pytest
+	@needs="pytest hypothesis"; wants="vtk xdist"; $(SETUP); \
+	"$$python" -c "import xdist" 2>/dev/null && workers="-n auto --dist loadfile"; \
+	"$$python" -m pytest $$workers $(ARGS)
 
 run:
 	@./run $(ARGS)

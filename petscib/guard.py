@@ -59,27 +59,33 @@ def check_markers(problem, markers):
 
 
 def check_crossing(problem, markers):
-    """Refuse membranes that have crossed each other.  Not collective.
+    """Refuse membranes that have crossed each other or images of their own.  Not collective.
 
     Raises
     ------
     CrossingError
         On the rank that has the markers.
     """
-    if not len(markers) or problem.membranes.count < 2:
+    if not len(markers):
         return
     pair = problem.gaps.measure(markers).crossed
+    if pair and pair[0] == pair[1]:
+        raise CrossingError(f"the membrane of vesicle {pair[0]} has crossed its own image across "
+                            "a periodic side")
     if pair:
         raise CrossingError(f"the membranes of vesicles {pair[0]} and {pair[1]} have crossed")
 
 
 def near(problem, markers):
     """A warning where the flow between two membranes is not resolved, or an empty text."""
-    if not len(markers) or problem.membranes.count < 2:
+    if not len(markers):
         return ""
     gap = problem.gaps.measure(markers)
     cells = gap.between / max(problem.grid.dx, problem.grid.dy)
     if not cells < CLOSE:
         return ""
+    if gap.pair[0] == gap.pair[1]:
+        return (f"vesicle {gap.pair[0]} is {cells:.2g} cells from its own image across a periodic "
+                f"side; below {CLOSE:g} the flow between them is not resolved")
     return (f"vesicles {gap.pair[0]} and {gap.pair[1]} are {cells:.2g} cells apart; below "
             f"{CLOSE:g} the flow between them is not resolved, and -contact keeps them apart")

@@ -278,6 +278,13 @@ class Problem:
         self.membranes.cover(state.markers, state.markers)
         return self.membranes.stress(state.markers, state.stretch, state.time)
 
+    def tension(self, state):
+        """Tension at the half points, shape (H,) on rank 0: that of the step's stage, if known.
+
+        At the ends of steps Crank-Nicolson leaves oscillations that its stages do not have.
+        """
+        return self.membranes.tension(state.stretch, state.history.get("stress"))
+
     def stress_drift(self, state, dt):
         """How the stresses of a state change in time by themselves, where tethers are moved."""
         membranes = self.membranes

@@ -129,6 +129,12 @@ def pytest_configure(config):
                             "MPI ranks, or on each number of a list")
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers(config):
+    """Two at most: each runs jobs of up to four ranks, and tests of signals keep an eye on time."""
+    return min(2, os.cpu_count() or 1)
+
+
 def pytest_generate_tests(metafunc):
     mark = metafunc.definition.get_closest_marker("parallel")
     if mark:

@@ -74,7 +74,30 @@ def test_one_membrane_has_walls_only():
     found = gap_of([part])
     assert found.distance == pytest.approx(0.6) and found.pair is None
     assert gap_of([part], (True, False)).distance == pytest.approx(0.8)
-    assert gap_of([part], (True, True)).distance == np.inf
+
+
+@pytest.mark.parametrize("angle", [0, 25, 60, 137])
+@pytest.mark.parametrize("periodic", [(True, False), (False, True), (True, True)])
+def test_a_membrane_meets_images_of_itself(periodic, angle):
+    part = shapes.ellipse((0.1, 0.93), (0.3, 0.0), angle, 80)
+    moves = [np.array((2.0 * i, 2.0 * j)) for i in (-1, 0, 1) for j in (-1, 0, 1)
+             if (i or j) and (periodic[0] or not i) and (periodic[1] or not j)]
+    expected = min(to_edges(part, part + move) for move in moves)
+    walls = [1 - abs(part[:, axis]).max() for axis in (0, 1) if not periodic[axis]]
+    found = gap_of([part], periodic)
+    assert found.distance == pytest.approx(min([expected, *walls]), abs=1e-12)
+    assert found.crossed is None
+    if expected < min(walls, default=np.inf):
+        assert found.between == found.distance and found.pair == (0, 0)
+    long = shapes.ellipse((0.1, 1.1), (0.3, 0.0), 0 if periodic[1] else 90, 200)
+    assert gap_of([long], periodic).crossed == (0, 0)
+
+
+@pytest.mark.parametrize("periodic", [(True, False), (True, True)])
+def test_a_line_across_the_box_does_not_meet_what_goes_on_with_it(periodic):
+    line, _ = shapes.line((-1, 0.2), (1, 0.2), 0.0, 60)
+    found = gap_of([line], periodic, periods=[(2, 0)])
+    assert found.distance == pytest.approx(2.0 if periodic[1] else 0.8) and not found.crossed
 
 
 @pytest.mark.parametrize("reach, crossed", [(0.19, None), (0.21, (0, 1)), (0.3, (0, 1))])

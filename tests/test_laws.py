@@ -141,6 +141,8 @@ def test_tension_is_that_of_the_paper():
     energy = law.stress(markers, stretch) @ law.stress(markers, stretch) / 2
     assert energy == pytest.approx(20 * 0.13 * np.sum((stretch - rest) ** 2), rel=1e-13)
     np.testing.assert_allclose(law.tension(stretch), 40 * (stretch - rest), rtol=1e-14)
+    stress = law.stress(None, stretch)
+    np.testing.assert_allclose(law.of_stress(stress), 40 * (stretch - rest), rtol=1e-13)
     slopes = dense.to_half_points(16, 0.13) @ markers
     tangent = slopes / np.hypot(*slopes.T)[:, None]
     rate = dense.surface_divergence(tangent, 0.13)

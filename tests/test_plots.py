@@ -14,7 +14,7 @@ pytest.importorskip("matplotlib")
 from matplotlib.image import imread  # noqa: E402
 
 from petscib import plot  # noqa: E402
-from petscib.output import plots, tables  # noqa: E402
+from petscib.output import plots, saved, tables  # noqa: E402
 
 COLUMNS = (
     "step time dt area perimeter area_error perimeter_error kinetic tension_energy bending_energy "
@@ -82,6 +82,7 @@ def write_fields(path, cells=(48, 64), time=1.0, periodic=False, domain=None, ve
         file["fluid/v"] = v[:-1] if periodic else v
         for vesicle in range(vesicles):
             file[f"vesicle_{vesicle}/X"] = ellipse(0.4, 0.0)
+            file[f"vesicle_{vesicle}/tension"] = np.sin(4 * np.pi * np.arange(120) / 120)
         file.attrs["options"] = json.dumps(options)
         file.attrs["time"] = time
 
@@ -116,7 +117,7 @@ def run(tmp_path_factory):
 
 def test_all_pictures_of_a_finished_run(run, tmp_path):
     paths = plots.plot_all(run, tmp_path)
-    names = ["outlines", "inclination", "conservation", "energy", "ledger", "fields"]
+    names = ["outlines", "inclination", "conservation", "energy", "ledger", "fields", "tension"]
     assert paths == [str(tmp_path / f"{name}.png") for name in names]
     for path in paths:
         assert_picture(path)
@@ -136,7 +137,7 @@ def test_first_moments_of_a_run(tmp_path, rows):
     write_run(tmp_path, steps=rows - 1)
     paths = plots.plot_all(tmp_path)
     # Nothing is lost, wrong or solved in row 0: no ledger and no conservation yet.
-    assert len(paths) == {0: 1, 1: 4, 2: 6}[rows]
+    assert len(paths) == {0: 2, 1: 5, 2: 7}[rows]
     for path in paths:
         assert_picture(path)
 
@@ -197,17 +198,29 @@ def test_newest_saved_file_is_drawn(tmp_path):
     write_fields(tmp_path / "final.h5", time=1.0)
     write_fields(tmp_path / "checkpoint-000200.h5", time=2.0)
     os.utime(tmp_path / "final.h5", (1, 1))
-    assert plots._read_fields(tmp_path).time == 2.0
+    assert saved.read_fields(tmp_path).time == 2.0
+
+
+def test_tension_is_that_of_the_edges_drawn(tmp_path):
+    write_fields(tmp_path / "final.h5")
+    fields = saved.read_fields(tmp_path)
+    # Edge k of a closed outline leads from marker k on; the files have it one further.
+    np.testing.assert_allclose(fields.tensions[0][:3], np.sin(4 * np.pi * np.arange(1, 4) / 120))
+    assert len(fields.tensions[0]) == len(fields.outlines[0]) - 1
+    with h5py.File(tmp_path / "final.h5", "a") as file:
+        del file["vesicle_0/tension"]  # as in files of format 1
+    assert plots.plot_tension(tmp_path) is None
+    assert_picture(plots.plot_fields(tmp_path))
 
 
 def test_channel_with_periodic_ends(tmp_path):
     write_fields(tmp_path / "final.h5", (24, 96), periodic=True, domain=(-2.0, 2.0, -0.5, 0.5))
-    fields = plots._read_fields(tmp_path)
+    fields = saved.read_fields(tmp_path)
     assert fields.domain == (-2.0, 2.0, -0.5, 0.5)
     assert_picture(plots.plot_fields(tmp_path))
     # An outline that has left through the right side shows at the left as well.
     X = ellipse(0.0, 0.0, centre=(6.0, 0.0))
-    shifts = plots._periodic_shifts(fields, X)
+    shifts = saved.periodic_shifts(fields, X)
     assert sorted(shift[0] for shift in shifts) == [-8.0, -4.0]
     assert {shift[1] for shift in shifts} == {0.0}
 
@@ -216,9 +229,9 @@ def test_outlines_are_drawn_in_the_periodic_box(tmp_path):
     write_run(tmp_path, steps=20, shear_rate=0.0, fields=False)
     (tmp_path / "summary.json").write_text(json.dumps({"options": {
         "flow": "rest", "body_force": [1.0, 0.0], "periodic": "x", "domain": [9, 11, 8, 10]}}))
-    options = plots._read_options(tmp_path)
+    options = saved.read_options(tmp_path)
     X = ellipse(0.3, 0.0, centre=(-0.1, 0.0))
-    (time, ((vesicle, moved),)), = plots._in_the_box([(0.5, [(3, X)])], options)
+    (time, ((vesicle, moved),)), = saved.in_the_box([(0.5, [(3, X)])], options)
     assert (time, vesicle) == (0.5, 3)
     np.testing.assert_allclose(moved, X + (10.0, 0.0), atol=1e-12)
     assert_picture(plots.plot_outlines(tmp_path))
@@ -230,12 +243,12 @@ def test_vorticity_and_centre_velocity_are_exact_for_linear_flows():
     x, y = np.linspace(-1, 1, m + 1), np.linspace(0, 3, n + 1)
     u = np.broadcast_to(2.0 * (y[1:] + y[:-1])[:, None] / 2, (n, m + 1))
     v = np.broadcast_to(-0.5 * (x[1:] + x[:-1])[None] / 2, (n + 1, m))
-    fields = plots.Fields(u, v, [], 0.0, (-1.0, 1.0, 0.0, 3.0))
-    vorticity, x_lines, y_lines = plots._corner_vorticity(fields)
+    fields = saved.Fields(u, v, [], [], 0.0, (-1.0, 1.0, 0.0, 3.0))
+    vorticity, x_lines, y_lines = saved.corner_vorticity(fields)
     np.testing.assert_allclose(vorticity, np.full((n + 1, m + 1), -2.5), atol=1e-13)
-    assert x_lines.shape == (m + 2,) and y_lines.shape == (n + 2,)
-    np.testing.assert_allclose((x_lines[1:] + x_lines[:-1]) / 2, x, atol=1e-14)
-    centre_u, centre_v = plots._centre_velocity(fields)
+    np.testing.assert_allclose(x_lines, x, atol=1e-14)
+    np.testing.assert_allclose(y_lines, y, atol=1e-14)
+    centre_u, centre_v = saved.centre_velocity(fields)
     assert centre_u.shape == centre_v.shape == (n, m)
     np.testing.assert_allclose(centre_u[:, 0], y[1:] + y[:-1])
 

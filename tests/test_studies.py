@@ -12,6 +12,7 @@ from petscib.studies import (
     compare,
     convergence,
     cputime,
+    gallery,
     maxstep,
     report,
     runs,
@@ -359,6 +360,18 @@ def test_stability(campaign):
     assert good["ledger_residual"] < 1e-6 and good["steps"] == 3
     lost = [row for row in table(one) if row["verdict"] == stability.LOST]
     assert all(row["reason"] for row in lost) and os.path.exists(one.path("runs.csv"))
+
+
+def test_gallery(campaign):
+    one = campaign("gallery")
+    words = dict(ts_max_steps=2, stag_grid_x=32, ts_dt=0.02)
+    pictures = gallery.study(one, ("taylor-green", "elastic"), ("elastic",), words, 60)
+    assert pictures == {"taylor-green": ["taylor-green.png"],
+                        "elastic": ["elastic.png", "elastic.gif"]}
+    page = open(one.path("gallery.md")).read()
+    for name in sum(pictures.values(), []):
+        assert f"]({name})" in page and os.path.getsize(one.path(name)) > 1000
+    assert "./run -scene elastic" in page
 
 
 def test_vesicles(campaign):

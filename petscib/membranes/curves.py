@@ -56,6 +56,7 @@ class Curves:
             self.periods += np.reshape(periods, (-1, 2))
         self.encloses = shut & ~self.periods.any(axis=1)
         self.starts = np.concatenate(([0], np.cumsum(counts)))
+        self._counts = counts
         self.ds = np.repeat(np.asarray(spacings, float), counts)
         self.closed = np.repeat(shut, counts)
         marker = np.arange(self.starts[-1])
@@ -101,7 +102,7 @@ class Curves:
 
     def spread(self, values):
         """Value of its curve, from an array (V, ...) over the curves, at each marker."""
-        return np.repeat(values, np.diff(self.starts), axis=0)
+        return np.repeat(values, self._counts, axis=0)
 
     def edge_sums(self, values):
         """Sum over each curve of values at the half points, shape (V,)."""

@@ -1,5 +1,7 @@
 """How near membranes come to each other and to walls, and whether two of them have crossed.
 
+On periodic sides they meet the images of the others and of themselves.
+
 Membranes whose bounding circles are far apart are never compared, and the markers of the others
 are looked up in trees: with M markers in all this takes some M log M operations.
 """
@@ -18,13 +20,13 @@ class Gap:
     Attributes
     ----------
     distance : float
-        Between membranes, or from one to a wall; infinite if there are neither two nor walls.
+        Between membranes, or from one to a wall or to its own image; infinite if there is none.
     between : float
         Between membranes alone; infinite where the walls are certainly nearer.
     pair : (int, int) or None
-        The two membranes of `between`.
+        The two membranes of `between`, twice the same where it is an image of its own.
     crossed : (int, int) or None
-        Two membranes whose edges meet.
+        Two membranes whose edges meet, likewise.
     """
 
     distance: float
@@ -46,7 +48,22 @@ class Gaps:
         self.curves = curves
         self._low, self._high = np.reshape(grid.domain, (2, 2)).T
         self._periodic = np.array(grid.periodic)
+        self._own = self._own_images()
         self._known = None, None
+
+    def _own_images(self):
+        """Numbers of curves, and the translations to half of the images around each.
+
+        The other half is as far, and a line across the box goes on in its images along it.
+        """
+        x, y = np.diag(np.where(self._periodic, self._high - self._low, 0.0))
+        around = np.unique([shift for shift in (x, y, x + y, x - y) if shift.any()]
+                           or np.zeros((0, 2)), axis=0)
+        numbers = np.repeat(np.arange(self.curves.count), len(around))
+        shifts = np.tile(around, (self.curves.count, 1))
+        along = self.curves.periods[numbers]
+        apart = (along[:, 0] * shifts[:, 1] != along[:, 1] * shifts[:, 0]) | ~along.any(axis=1)
+        return numbers[apart], shifts[apart]
 
     def measure(self, markers):
         """The Gap for some positions (M, 2); asked again for the same array, it remembers."""
@@ -57,7 +74,7 @@ class Gaps:
     def _measure(self, markers):
         walls = np.minimum(markers - self._low, self._high - markers)[:, ~self._periodic]
         nearest = walls.min(initial=np.inf)
-        if self.curves.count < 2:
+        if self.curves.count < 2 and not len(self._own[0]):
             return Gap(nearest, np.inf, None, None)
         from scipy.spatial import cKDTree
 
@@ -90,7 +107,8 @@ class Gaps:
     def _candidates(self, markers):
         """Pairs of membranes and images of the second, those that may be nearest first.
 
-        Yields numbers of both, the translation of the second, and a bound on their distance.
+        A membrane makes pairs with its own images.  Yields numbers of both, the translation of the
+        second, and a bound on their distance.
         """
         curves = self.curves
         first = curves.starts[:-1]
@@ -110,8 +128,9 @@ class Gaps:
             step[:, axis] = -period[axis] * np.where((apart + home)[:, axis] < 0, -1, 1)
             shifts += [shift + step for shift in shifts]
         images = len(shifts)
-        shifts = np.concatenate(shifts)
-        one, other = np.tile(one, images), np.tile(other, images)
+        own, around = self._own
+        shifts = np.concatenate([*shifts, around])
+        one, other = (np.concatenate((np.tile(each, images), own)) for each in (one, other))
         least = np.hypot(*(center[other] - center[one] + shifts).T) - radius[one] - radius[other]
         for k in np.argsort(least, kind="stable"):
             yield int(one[k]), int(other[k]), shifts[k], least[k]

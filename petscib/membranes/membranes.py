@@ -6,6 +6,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from .curves import Curves
+from .laws import Tension
 
 
 @dataclass(frozen=True)
@@ -133,6 +134,14 @@ class Membranes:
         self.cover(before, after)
         values = self._flat([law.weights(before, after) for law in self.laws], self._orders)
         return csr_matrix((values, self._columns, self._starts), self._shape)
+
+    def tension(self, stretch, stress=None):
+        """Tension sigma at the half points, shape (H,): from the stresses if these are given."""
+        law = self.law(Tension.name)
+        if law is None:
+            return np.zeros_like(stretch)
+        return law.tension(stretch) if stress is None else law.of_stress(
+            stress[self.rows[law.name]])
 
     def load(self, time):
         """Given force on each marker, shape (M, 2)."""

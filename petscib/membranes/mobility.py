@@ -99,7 +99,8 @@ class ContrastSlip(Slip):
 class AreaProjector:
     """Pi = 1 - N N^T / |N|^2 for each membrane around an area: velocities that keep that area.
 
-    N is the gradient of the area with respect to the markers, half the chord turned by a quarter.
+    N is the gradient of the area with respect to the markers, half the chord turned by a quarter,
+    and `dual` is N / |N|^2.
 
     Parameters
     ----------
@@ -111,13 +112,13 @@ class AreaProjector:
         self.curves = curves
         chord = curves.chords(markers) * curves.spread(curves.encloses)[:, None]
         self.normal = np.stack((chord[:, 1], -chord[:, 0]), axis=1) / 2
-        self.square = curves.sums(np.einsum("ki,ki->k", self.normal, self.normal))
+        square = curves.sums(np.einsum("ki,ki->k", self.normal, self.normal))
+        square[square == 0] = 1.0  # of curves around no area N is zero
+        self.dual = self.normal / curves.spread(square)[:, None]
 
     def component(self, values):
         """N . q / |N|^2 of each membrane for values (M, 2) at the markers."""
-        products = self.curves.sums(np.einsum("ki,ki->k", self.normal, values))
-        return np.divide(products, self.square, out=np.zeros_like(products),
-                         where=self.square > 0)
+        return self.curves.sums(np.einsum("ki,ki->k", self.dual, values))
 
     def project(self, values):
         """Pi q, shape (M, 2)."""
@@ -132,7 +133,6 @@ def restore_areas(curves, markers, target):
     """
     for _ in range(3):
         projector = AreaProjector(curves, markers)
-        missing = np.divide(target - signed_area(markers, curves), projector.square,
-                            out=np.zeros_like(target), where=projector.square > 0)
-        markers = markers + curves.spread(missing)[:, None] * projector.normal
+        missing = np.where(curves.encloses, target - signed_area(markers, curves), 0.0)
+        markers = markers + curves.spread(missing)[:, None] * projector.dual
     return markers

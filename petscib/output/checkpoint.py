@@ -28,6 +28,7 @@ Datasets, all of 8-byte floats, with attributes ``unit`` and ``location``:
 /vesicle_0/X              (M, 2)           markers, x and y
 /vesicle_0/stretch        (M,)             |X_s| at half points; entry k lies between k - 1 and k
 /vesicle_0/rest_stretch   (M,)             |X_s| without tension, at half points
+/vesicle_0/tension        (M,)             sigma at half points, in the stage of the step
 /vesicle_0/target         (M, 2)           where tethers hold the markers, if any are held
 ========================  ===============  ========================================================
 
@@ -190,6 +191,8 @@ def _add_vesicles(problem, state, progress, comm, attributes, datasets):
         ("X", curves.starts, state.markers, length),
         ("stretch", curves.edge_starts, state.stretch, ratio),
         ("rest_stretch", curves.edge_starts, constants.rest_stretch, ratio),
+        ("tension", curves.edge_starts, problem.tension(state), {
+            "unit": "force", "location": ratio["location"]}),
     ]
     if constants.target is not None:
         arrays.append(("target", curves.starts, constants.target, length))

@@ -5,41 +5,25 @@ folder by default) and returns its path, or None if the data for it are not ther
 ImportError without matplotlib, and ValueError for a damaged file. Rank 0 only, not collective.
 """
 
-import glob
-import json
 import os
-from contextlib import contextmanager
 from itertools import cycle
 from typing import NamedTuple
 
 import numpy as np
 
-from ..schemes.registry import SCHEMES
-from . import tables
-
-STYLE = {
-    "font.family": "STIXGeneral",
-    "mathtext.fontset": "stix",
-    "font.size": 12,
-    "axes.labelsize": 13,
-    "axes.titlesize": 13,
-    "axes.linewidth": 0.8,
-    "axes.grid": False,
-    "lines.linewidth": 1.5,
-    "xtick.direction": "in",
-    "ytick.direction": "in",
-    "xtick.top": True,
-    "ytick.right": True,
-    "legend.frameon": False,
-    "legend.fontsize": 11,
-    "savefig.dpi": 150,
-}
-
-# Colours of Okabe and Ito, told apart by colour-blind readers too.
-BLUE, VERMILLION, GREEN, ORANGE = "#0072B2", "#D55E00", "#009E73", "#E69F00"
-SKY, PURPLE, GREY = "#56B4E9", "#CC79A7", "#777777"
-VESICLE_COLOURS = (BLUE, GREEN, PURPLE, ORANGE, SKY, GREY)
-MARKED_POINT = VERMILLION
+from . import saved
+from .style import (
+    BLUE,
+    GREEN,
+    GREY,
+    MARKED_POINT,
+    ORANGE,
+    PURPLE,
+    SKY,
+    VERMILLION,
+    VESICLE_COLOURS,
+    picture,
+)
 
 LAW_COLOURS = VERMILLION, GREEN, ORANGE, PURPLE, GREY
 SOLVES = (
@@ -90,6 +74,7 @@ def plot_all(folder, output=None):
         plot_energy,
         plot_ledger,
         plot_fields,
+        plot_tension,
     )
     paths = [plot(folder, output) for plot in pictures]
     return [path for path in paths if path is not None]
@@ -97,8 +82,8 @@ def plot_all(folder, output=None):
 
 def plot_outlines(folder, output=None):
     """``outlines.png``: the vesicles at up to eight times, marker 0 as a star (paper, Fig. 2)."""
-    options = _read_options(folder)
-    moments = _to_their_ends(_in_the_box(_read_moments(folder), options), options)
+    options = saved.read_options(folder)
+    moments = saved.to_their_ends(saved.in_the_box(saved.read_moments(folder), options), options)
     if not moments:
         return None
     times = np.array([time for time, _ in moments])
@@ -109,7 +94,7 @@ def plot_outlines(folder, output=None):
     rows = -(-len(panels) // columns)
     boxes = _boxes([outlines for _, outlines in panels])
     size = (2.4 * columns + 0.8, rows * (2.3 * boxes[0].height / boxes[0].width + 0.45) + 0.4)
-    with _picture(folder, output, "outlines.png", *size) as figure:
+    with picture(_path(folder, output, "outlines.png"), *size) as figure:
         shared = len(set(boxes)) == 1
         axes = figure.subplots(rows, columns, squeeze=False, sharex=shared, sharey=shared)
         for axis, (time, outlines), box in zip(axes.flat, panels, boxes):
@@ -130,8 +115,8 @@ def plot_outlines(folder, output=None):
 
 def plot_inclination(folder, output=None):
     """``inclination.png``: inclination and treading frequency over time, in a flow."""
-    table = _read_table(folder)
-    if _is_at_rest(_read_options(folder)):
+    table = saved.read_table(folder)
+    if saved.is_at_rest(saved.read_options(folder)):
         return None
     panels = [
         (label, values)
@@ -143,7 +128,7 @@ def plot_inclination(folder, output=None):
     ]
     if not panels:
         return None
-    with _picture(folder, output, "inclination.png", 6.0, 2.6 * len(panels) + 0.4) as figure:
+    with picture(_path(folder, output, "inclination.png"), 6.0, 2.6 * len(panels) + 0.4) as figure:
         axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
         for axis, (label, values) in zip(axes, panels):
             for vesicle, series in enumerate(values.T):
@@ -159,7 +144,7 @@ def plot_inclination(folder, output=None):
 
 def plot_conservation(folder, output=None):
     """``conservation.png``: area and perimeter error, and the iterations of each step."""
-    table = _read_table(folder)
+    table = saved.read_table(folder)
     errors = [
         (name, colour, _largest(_vesicle_columns(table, f"{name}_error")))
         for name, colour in (("area", BLUE), ("perimeter", VERMILLION))
@@ -174,7 +159,7 @@ def plot_conservation(folder, output=None):
     if not errors and not solves:
         return None
     rows = bool(errors) + bool(solves)
-    with _picture(folder, output, "conservation.png", 6.0, 2.6 * rows + 0.4) as figure:
+    with picture(_path(folder, output, "conservation.png"), 6.0, 2.6 * rows + 0.4) as figure:
         axes = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
         for name, colour, error in errors:
             _line(axes[0], table["time"], error, positive=True, color=colour, label=name)
@@ -200,7 +185,7 @@ def plot_conservation(folder, output=None):
 
 def plot_energy(folder, output=None):
     """``energy.png``: the energies over time, above as they add up, below on a log axis."""
-    table = _read_table(folder)
+    table = saved.read_table(folder)
     parts = [("kinetic", BLUE, _column(table, "kinetic"))]
     parts += [(_words(name), colour, _column(table, f"{name}_energy"))
               for name, colour in _laws(table)]
@@ -208,7 +193,7 @@ def plot_energy(folder, output=None):
     total = _column(table, "energy")
     if not np.isfinite(total).any():
         return None
-    with _picture(folder, output, "energy.png", 6.0, 5.6) as figure:
+    with picture(_path(folder, output, "energy.png"), 6.0, 5.6) as figure:
         axes = figure.subplots(2, 1, sharex=True)
         for axis, positive in zip(axes, (False, True)):
             line = dict(color="black", label="total", positive=positive)
@@ -231,7 +216,7 @@ def plot_ledger(folder, output=None):
     the energy lost, plus what terms of either sign (moving walls, the reset of the stretching)
     have put in.
     """
-    table = _read_table(folder)
+    table = saved.read_table(folder)
     terms = {
         name[len("ledger_") :]: np.cumsum(np.nan_to_num(values))
         for name, values in table.items()
@@ -253,7 +238,7 @@ def plot_ledger(folder, output=None):
     rows = 1 if residual is None else 2
     ratios = {"height_ratios": [2.2, 1.0][:rows]}
     time = table["time"]
-    with _picture(folder, output, "ledger.png", 8.2, 3.6 + 1.8 * (rows - 1)) as figure:
+    with picture(_path(folder, output, "ledger.png"), 8.2, 3.6 + 1.8 * (rows - 1)) as figure:
         axes = figure.subplots(rows, 1, sharex=True, squeeze=False, gridspec_kw=ratios)[:, 0]
         if areas:
             labels, colours, values = zip(*areas)
@@ -278,7 +263,7 @@ def plot_ledger(folder, output=None):
 
 def plot_fields(folder, output=None):
     """``fields.png``: speed with streamlines, and vorticity, of the newest saved fields."""
-    fields = _read_fields(folder)
+    fields = saved.read_fields(folder)
     if fields is None:
         return None
     a, b, c, d = fields.domain
@@ -286,32 +271,59 @@ def plot_fields(folder, output=None):
     panel_width = 3.4 if columns == 2 else 6.0
     width = columns * (panel_width + 1.6)
     height = rows * (panel_width * (d - c) / (b - a) + 0.5) + 0.4
-    with _picture(folder, output, "fields.png", width, height) as figure:
+    with picture(_path(folder, output, "fields.png"), width, height) as figure:
         axes = figure.subplots(rows, columns, sharex=True, sharey=True)
-        u, v = _centre_velocity(fields)
+        u, v = saved.centre_velocity(fields)
         speed = np.hypot(u, v)
         image = axes[0].imshow(
             speed, origin="lower", extent=fields.domain, cmap=_light_blues(), vmin=0,
-            vmax=_finite_max(speed) or 1.0,
+            vmax=_finite_max(speed) or 1.0, interpolation="bicubic",
         )
         _colour_bar(figure, axes[0], image, r"speed $|\mathbf{u}|$ (length/time)")
         if _finite_max(speed) > 0:
             _draw_streamlines(axes[0], fields.domain, u, v)
-        vorticity, x, y = _corner_vorticity(fields)
+        vorticity, x, y = saved.corner_vorticity(fields)
         # A few corners beside the membrane would otherwise set the whole scale.
         limit = _finite_max(abs(vorticity), quantile=0.998) or 1.0
         image = axes[1].pcolormesh(
-            x, y, vorticity, cmap="RdBu_r", vmin=-limit, vmax=limit, rasterized=True
+            x, y, vorticity, cmap="RdBu_r", vmin=-limit, vmax=limit, rasterized=True,
+            shading="gouraud",
         )
         _colour_bar(figure, axes[1], image, r"vorticity $\omega$ (1/time)")
         for axis in axes:
             for X in fields.outlines:
-                for shift in _periodic_shifts(fields, X):
+                for shift in saved.periodic_shifts(fields, X):
                     _draw_outline(axis, X + shift, "black")
             axis.set(xlim=(a, b), ylim=(c, d), aspect="equal", xlabel="$x$", ylabel="$y$")
             axis.set_title(f"$t = {_time_text(fields.time, fields.time)}$")
             axis.label_outer()
             axis.locator_params(nbins=5)
+        return figure.path
+
+
+def plot_tension(folder, output=None):
+    """``tension.png``: the membranes of the newest saved file, coloured by their tension."""
+    from matplotlib.collections import LineCollection
+
+    fields = saved.read_fields(folder)
+    if fields is None or not any(np.any(tension) for tension in fields.tensions):
+        return None
+    box = _common_box([list(enumerate(fields.outlines))])
+    # A few edges, as at the tips of a thin vesicle, would otherwise set the whole scale.
+    low, high = np.quantile(np.concatenate(fields.tensions), [0.01, 0.99])
+    scale = dict(cmap="plasma", clim=(low, high if high > low else low + 1.0))
+    shape = box.height / box.width
+    width = 4.4 if shape > 0.5 else 7.0
+    with picture(_path(folder, output, "tension.png"), width + 1.4, width * shape + 0.7) as figure:
+        axis = figure.subplots()
+        for X, tension in zip(fields.outlines, fields.tensions):
+            edges = np.stack((X[:-1], X[1:]), axis=1)
+            image = LineCollection(edges, array=tension, linewidths=3.5, capstyle="round", **scale)
+            axis.add_collection(image)
+        box.frame(axis)
+        axis.set(xlabel="$x$", ylabel="$y$", title=f"$t = {_time_text(fields.time, fields.time)}$")
+        axis.locator_params(nbins=5)
+        _colour_bar(figure, axis, image, r"tension $\sigma$ (force)")
         return figure.path
 
 
@@ -325,8 +337,8 @@ def animate(folder, output=None, mp4=False):
     """
     from matplotlib import animation
 
-    options = _read_options(folder)
-    moments = _to_their_ends(_in_the_box(_read_moments(folder), options), options)
+    options = saved.read_options(folder)
+    moments = saved.to_their_ends(saved.in_the_box(saved.read_moments(folder), options), options)
     if not moments:
         return None
     if mp4 and not animation.FFMpegWriter.isAvailable():
@@ -341,7 +353,7 @@ def animate(folder, output=None, mp4=False):
     shape = min(max(box.height / box.width, 0.15), 2.0)
     width = 5.0 if shape > 0.7 else 8.0
     height = (width - 0.8) * shape + 0.8
-    with _picture(folder, output, name, width, height, save=False) as figure:
+    with picture(_path(folder, output, name), width, height, save=False) as figure:
         axis = figure.subplots()
         with writer.saving(figure, figure.path, dpi=100):
             for time, outlines in frames:
@@ -354,102 +366,9 @@ def animate(folder, output=None, mp4=False):
         return figure.path
 
 
-# Reading
-
-
-class Fields(NamedTuple):
-    """Staggered fields of one file: u (n, m+1), v (n+1, m), without the last if periodic."""
-
-    u: np.ndarray
-    v: np.ndarray
-    outlines: list
-    time: float
-    domain: tuple
-
-
-def _read_table(folder):
-    """The diagnostics, empty if there are none."""
-    path = os.path.join(folder, "diagnostics.csv")
-    return tables.read(path) if os.path.exists(path) else {}
-
-
-def _read_moments(folder):
-    """List of (time, [(vesicle, X), ...]) in order of time; broken outlines are left out."""
-    path = os.path.join(folder, "outlines.csv")
-    if not os.path.exists(path):
-        return []
-    moments = {}
-    for step, time, vesicle, X in tables.read_outlines(path):
-        if np.isfinite(X).all() and len(X):
-            moments.setdefault(step, (time, []))[1].append((vesicle, X))
-    return [moments[step] for step in sorted(moments)]
-
-
-def _saved_files(folder):
-    """Checkpoints and the final file, newest first."""
-    paths = glob.glob(os.path.join(glob.escape(folder), "checkpoint-*.h5"))
-    paths += glob.glob(os.path.join(glob.escape(folder), "final.h5"))
-    return sorted(paths, key=os.path.getmtime, reverse=True)
-
-
-def _read_options(folder):
-    """The options of the run, from its summary or its newest saved file; empty if neither."""
-    path = os.path.join(folder, "summary.json")
-    if os.path.exists(path):
-        with _named_in_errors(path), open(path) as file:
-            return json.load(file).get("options", {})
-    for path in _saved_files(folder)[:1]:
-        import h5py
-
-        with _named_in_errors(path), h5py.File(path, "r") as file:
-            return json.loads(file.attrs.get("options", "{}"))
-    return {}
-
-
-def _is_at_rest(options):
-    flows = options.get("flow") != "rest" and options.get("shear_rate") != 0
-    return not flows and not any(options.get("body_force", ()))
-
-
-@contextmanager
-def _named_in_errors(path):
-    """The libraries' messages for an unreadable file do not say which one it is."""
-    try:
-        yield
-    except (OSError, ValueError, KeyError) as error:
-        raise ValueError(f"{path}: cannot be read: {error}") from error
-
-
-def _read_fields(folder):
-    """Fields of the newest saved file, or None if there is none."""
-    paths = _saved_files(folder)
-    if not paths:
-        return None
-    import h5py
-
-    with _named_in_errors(paths[0]), h5py.File(paths[0], "r") as file:
-        if "fluid/u" not in file or "fluid/v" not in file:
-            return None
-        options = json.loads(file.attrs.get("options", "{}"))
-        domain = options.get("domain", (-1.0, 1.0, -1.0, 1.0))
-        if isinstance(domain, str):
-            domain = domain.split(",")
-        outlines = []
-        while f"vesicle_{len(outlines)}/X" in file:
-            vesicle = file[f"vesicle_{len(outlines)}"]
-            period = vesicle.attrs.get("period", 0.0) if vesicle.attrs.get("closed", 1) else None
-            outlines.append(_to_its_end(vesicle["X"][:], period))
-        # At the end of a step Crank-Nicolson leaves oscillations from cell to cell that it does not
-        # damp; in the middle, where its equations hold, there are none.
-        theta = SCHEMES[options["scheme"]].theta if "scheme" in options else 1.0
-        velocity = file["history/stage" if theta < 1 and "history/stage" in file else "fluid"]
-        return Fields(
-            velocity["u"][:],
-            velocity["v"][:],
-            outlines,
-            float(file.attrs.get("time", np.nan)),
-            tuple(float(side) for side in domain),
-        )
+def _path(folder, output, name):
+    """Where a picture goes."""
+    return os.path.join(folder if output is None else output, name)
 
 
 def _laws(table):
@@ -476,40 +395,6 @@ def _vesicle_columns(table, name):
 
 
 # Preparing numbers
-
-
-def _in_the_box(moments, options):
-    """Move outlines by whole periods of a periodic box, so that their middles are inside."""
-    periodic = [name in options.get("periodic", "none") for name in "xy"]
-    if not any(periodic):
-        return moments
-    low, high = np.reshape(options["domain"], (2, 2)).T
-
-    def moved(X):
-        periods = np.floor((X.mean(axis=0) - low) / (high - low))
-        return X - np.where(periodic, periods * (high - low), 0.0)
-
-    return [(time, [(vesicle, moved(X)) for vesicle, X in outlines]) for time, outlines in moments]
-
-
-def _to_their_ends(moments, options):
-    """Outlines as they are drawn."""
-    low, high = np.reshape(options.get("domain", (-1.0, 1.0, -1.0, 1.0)), (2, 2)).T
-    along = 0 if "x" in options.get("periodic", "none") else 1
-    period = np.where(np.arange(2) == along, high - low, 0.0)
-    ends = {"line": period, "plate": None}
-
-    def ended(vesicle, X):
-        shape = options.get(f"vesicle_{vesicle}_shape", options.get("shape"))
-        return _to_its_end(X, ends.get(shape, 0.0))
-
-    return [(time, [(vesicle, ended(vesicle, X)) for vesicle, X in outlines])
-            for time, outlines in moments]
-
-
-def _to_its_end(X, period):
-    """A curve with its first marker again at the end, a period further; None leaves it open."""
-    return X if period is None else np.append(X, X[:1] + period, axis=0)
 
 
 def _largest(values):
@@ -550,67 +435,6 @@ def _robust_limits(values):
 def _finite_max(values, quantile=1.0):
     finite = values[np.isfinite(values)]
     return float(np.quantile(finite, quantile)) if finite.size else 0.0
-
-
-def _centre_velocity(fields):
-    """Velocity at the cell centres, two arrays of shape (n, m)."""
-    u, v = _with_last_faces(fields)
-    return 0.5 * (u[:, 1:] + u[:, :-1]), 0.5 * (v[1:] + v[:-1])
-
-
-def _with_last_faces(fields):
-    """u of shape (n, m+1) and v of shape (n+1, m), also on a periodic box."""
-    u, v = fields.u, fields.v
-    if u.shape[1] == v.shape[1]:
-        u = np.concatenate([u, u[:, :1]], axis=1)
-    if v.shape[0] == u.shape[0]:
-        v = np.concatenate([v, v[:1]], axis=0)
-    return u, v
-
-
-def _is_periodic(fields):
-    """Periodicity in x and in y, as the array shapes tell it."""
-    n, m = fields.u.shape[0], fields.v.shape[1]
-    return fields.u.shape[1] == m, fields.v.shape[0] == n
-
-
-def _corner_vorticity(fields):
-    """Vorticity at the cell corners, shape (n+1, m+1), with mesh lines half a cell off them.
-
-    It is computed at inner corners. Those on a wall repeat their neighbour, those on a periodic
-    side have a neighbour across it.
-    """
-    a, b, c, d = fields.domain
-    u, v = _with_last_faces(fields)
-    n, m = u.shape[0], v.shape[1]
-    dx, dy = (b - a) / m, (d - c) / n
-    periodic_x, periodic_y = _is_periodic(fields)
-    v = np.pad(v, ((0, 0), (1, 1)), mode="wrap" if periodic_x else "edge")
-    u = np.pad(u, ((1, 1), (0, 0)), mode="wrap" if periodic_y else "edge")
-    vorticity = np.diff(v, axis=1) / dx - np.diff(u, axis=0) / dy
-    if not periodic_x:
-        vorticity[:, 0], vorticity[:, -1] = vorticity[:, 1], vorticity[:, -2]
-    if not periodic_y:
-        vorticity[0], vorticity[-1] = vorticity[1], vorticity[-2]
-    x = a + dx * (np.arange(m + 2) - 0.5)
-    y = c + dy * (np.arange(n + 2) - 0.5)
-    return vorticity, x, y
-
-
-def _periodic_shifts(fields, X):
-    """Translations that bring into the box every image of an outline that shows in it."""
-    a, b, c, d = fields.domain
-    if not np.isfinite(X).all():
-        return []
-    shifts = []
-    for axis, (low, high, periodic) in enumerate(
-        zip((a, c), (b, d), _is_periodic(fields))
-    ):
-        size = high - low
-        first = int(np.ceil((low - X[:, axis].max()) / size))
-        last = int(np.floor((high - X[:, axis].min()) / size))
-        shifts.append([k * size for k in range(first, last + 1)] if periodic else [0.0])
-    return [np.array((x, y)) for x in shifts[0] for y in shifts[1]]
 
 
 class _Box(NamedTuple):
@@ -660,28 +484,6 @@ def _time_text(time, largest):
 
 
 # Drawing
-
-
-@contextmanager
-def _picture(folder, output, name, width, height, save=True):
-    """A figure of a size in inches, written when the block ends; its ``path`` is where.
-
-    The pyplot interface and its global state stay untouched. The file appears under its name only
-    when complete.
-    """
-    import matplotlib
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(width, height), layout="constrained")
-        FigureCanvasAgg(figure)
-        figure.path = os.path.join(folder if output is None else output, name)
-        yield figure
-        if save:
-            part = f"{figure.path}.part"
-            figure.savefig(part, format="png", bbox_inches="tight", pad_inches=0.06)
-            os.replace(part, figure.path)
 
 
 def _line(axis, time, values, positive=False, **style):

@@ -23,7 +23,7 @@ SAVED = (*checkpoint.NAMES, "fields-#.h5")
 TRACEBACK = "traceback.txt"
 PICTURES = (
     "outlines.png", "inclination.png", "conservation.png", "energy.png", "ledger.png", "fields.png",
-    "animation.gif", "animation.mp4",
+    "tension.png", "animation.gif", "animation.mp4",
 )
 OTHERS = ("fields.xdmf", "vesicles.xdmf", "summary.json", TRACEBACK, *PICTURES)
 OURS = (*TABLES, *SAVED, *OTHERS)  # all that a run writes; nothing else is touched

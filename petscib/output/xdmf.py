@@ -161,8 +161,7 @@ class Series:
     def _vesicles(self, state):
         """Datasets of all vesicles; the ranks without markers know their shapes."""
         grid, membranes = self.problem.grid, self.problem.membranes
-        curves, law = membranes.constants.curves, membranes.law("tension")
-        tension = law.tension(state.stretch) if law else np.zeros_like(state.stretch)
+        curves, tension = membranes.constants.curves, self.problem.tension(state)
         datasets = []
         for k, (first, begin, end) in enumerate(
                 zip(curves.starts, curves.edge_starts, curves.edge_starts[1:])):

@@ -16,7 +16,7 @@ from math import log
 
 import numpy as np
 
-from ..output.plots import GREY
+from ..output.style import GREY
 from ..schemes.registry import SCHEMES
 from . import cputime, report
 from .campaign import Campaign

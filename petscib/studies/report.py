@@ -4,7 +4,8 @@ import csv
 import os
 from contextlib import contextmanager
 
-from ..output.plots import BLUE, GREEN, ORANGE, PURPLE, SKY, STYLE, VERMILLION
+from ..output import style
+from ..output.style import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
 
 # One look for a scheme in every picture.
 SERIES_COLOURS = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY)
@@ -66,17 +67,8 @@ def picture(path, width, height, rows=1, columns=1, **keywords):
     **keywords
         For matplotlib's `Figure.subplots`.
     """
-    import matplotlib
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(width, height), layout="constrained")
-        FigureCanvasAgg(figure)
+    with style.picture(path, width, height) as figure:
         yield figure, figure.subplots(rows, columns, squeeze=False, **keywords)
-        part = path + ".part"
-        figure.savefig(part, format="png", bbox_inches="tight", pad_inches=0.06)
-        os.replace(part, path)
 
 
 def legend_below(figure, axis, columns):

@@ -17,7 +17,7 @@ import numpy as np
 
 from ..membranes.geometry import perimeter
 from ..membranes.shapes import ellipse_perimeter
-from ..output.plots import BLUE, GREEN, VERMILLION
+from ..output.style import BLUE, GREEN, VERMILLION
 from . import compare, report
 from .campaign import Campaign
 from .reference import LEAST_ENERGY, RELAXATION, TREADING, TURNING

@@ -45,6 +45,11 @@ class Tension:
         """Tension sigma at the half points."""
         return self.sigma0 * (stretch - self.rest)
 
+    def of_stress(self, stress):
+        """Tension sigma at the half points, from the stress there; 0 where sigma0 is."""
+        return np.divide(self.sigma0 * stress, self._root, out=np.zeros_like(stress),
+                         where=self._root > 0)
+
     def stretch_rate(self, stress_rate):
         """Rate of stretching at the half points, from that of the stress; 0 without tension."""
         return np.divide(stress_rate, self._root, out=np.zeros_like(stress_rate),
