@@ -187,6 +187,11 @@ class Problem:
         return self.membranes is not None and bool(self.membranes.loads)
 
     @property
+    def least_mu(self):
+        """The least viscosity anywhere."""
+        return self.mu if self.viscosity is None else self.viscosity.least
+
+    @property
     def conserve_area(self):
         """Whether membranes keep their areas."""
         return self.areas is not None

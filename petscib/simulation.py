@@ -302,7 +302,7 @@ class Simulation:
         advection = self.problem.advection
         if advection is None or advection.implicit:
             return
-        longest = advection.longest_step(self.state.velocity, self.problem.mu)
+        longest = advection.longest_step(self.state.velocity, self.problem.least_mu)
         self.step_size.limit(longest)
         dt = self._next_dt()
         if dt > longest and not self.said_too_long:

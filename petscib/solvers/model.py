@@ -36,7 +36,7 @@ from .product import Product
 POLES = 2  # a third saves no iterations (64^2 and 256^2, dt of h/4, h and 16 h)
 
 # Where the viscosity jumps: (s h k)^2 at which a wave feels as much of the smoothed layer as of
-# what is around.  Answers to forces along a circle's normal, contrasts 0.01 to 100, 64^2: 1.3 to 3.2.
+# what is around.  Forces along a circle's normal, contrasts 0.01 to 100, 64^2: 1.3 to 3.2.
 LAYER = 1.8
 
 # Largest change of C, relative to its largest entry, for which a factorisation is kept.  Passes of

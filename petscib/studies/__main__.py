@@ -8,7 +8,7 @@ import sys
 from .campaign import add_options
 
 STUDIES = ("convergence", "iterations", "workprecision", "stability", "maxstep", "cputime",
-           "tanktreading", "truth", "tolerance", "navierstokes", "vesicles", "gallery")
+           "tanktreading", "truth", "tolerance", "navierstokes", "vesicles", "contrast", "gallery")
 
 
 def main(arguments=None):
