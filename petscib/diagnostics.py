@@ -4,7 +4,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from . import energy, rheology
+from . import energy, rheology, turning
 from .energy import Ledger
 from .membranes import geometry
 from .membranes.laws import LAWS
@@ -12,7 +12,7 @@ from .membranes.laws import LAWS
 SOLVERS = ("momentum", "poisson", "coupled", "picard")
 SHAPES = ("area", "perimeter", "area_error", "perimeter_error")
 FORCES = tuple(name for law in LAWS.values() for name in getattr(law, "measures", ()))
-PLACES = ("inclination", "treading_frequency", "centroid_x", "centroid_y")
+PLACES = ("inclination", "turns", "half_turn", "treading_frequency", "centroid_x", "centroid_y")
 
 
 def columns(vesicles):
@@ -119,7 +119,7 @@ class Diagnostics:
                 row[column] = value
         for number in np.flatnonzero(np.isnan(measured["area"])):  # that enclose no area
             suffix = f"_{number}" if self.vesicles > 1 else ""
-            for name in ("area", "area_error", "inclination", "treading_frequency"):
+            for name in ("area", "area_error", "inclination", "turns", "treading_frequency"):
                 row[name + suffix] = None
         return row
 
@@ -134,6 +134,9 @@ class Diagnostics:
             "centroid_x": center[:, 0],
             "centroid_y": center[:, 1],
         }
+        if turning.TURNING in state.history:
+            measured["turns"], took = turning.measure(state)
+            measured["half_turn"] = [None if np.isnan(time) else time for time in took]
         if step is not None:
             # It treads as seen from its middle, which drifts where it is not held.
             drift = (center - geometry.centroid(step.start.markers, curves)) / step.dt

@@ -251,6 +251,8 @@ _ROWS = (
            "stiffness of springs from the markers to where they start", "force/length^2"),
     Option("load", Numbers(("fx", "fy")), (0.0, 0.0), MEMBRANE,
            "given force on the membrane, such as its weight", "force/length"),
+    Option("viscosity_contrast", Number(0.01, 1000), 1.0, MEMBRANE,
+           "viscosity inside over that outside"),
     Option("contact", NOT_NEGATIVE, 0.0, MEMBRANE, "strength K of a repulsion between membranes "
            "and from walls, with the energy K/2 (1 - distance/range)^4 per length^2; 0: none",
            "force/length"),

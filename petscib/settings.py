@@ -59,6 +59,18 @@ class Settings:
         return [self.vesicle(number) for number in range(self.vesicles)]
 
     @property
+    def has_contrast(self):
+        """Whether the viscosity inside any vesicle is another than outside."""
+        return any(vesicle.viscosity_contrast != 1 for vesicle in self.each_vesicle())
+
+    @property
+    def reach(self):
+        """Cells between markers and walls at least, by the delta function."""
+        kernel = KERNELS[self.delta]
+        wide = self.kink_correction and self.has_contrast
+        return kernel.stress_reach if wide else kernel.reach
+
+    @property
     def line_axis(self):
         """Direction of lines across the box, 0 for x: the first in which it is periodic."""
         return 0 if "x" in self.periodic else 1
@@ -270,7 +282,7 @@ def check_curve(settings, vesicle, low, high, perimeter, names):
     names = tuple(map(vesicle.option, names))
     a, b, c, d = settings.domain
     dx, dy = (b - a) / settings.stag_grid_x, (d - c) / settings.stag_grid_y
-    reach = KERNELS[settings.delta].reach
+    reach = settings.reach
     placing = *names, "domain", "delta", "stag_grid_x", "stag_grid_y"
     for name, size, period in (("x", high[0] - low[0], b - a), ("y", high[1] - low[1], d - c)):
         if name in settings.periodic and size > period:
@@ -365,6 +377,8 @@ def _check_vesicle(settings, vesicle):
                 refuse(name, "a line goes straight across the box", f"no -{name}")
     elif "amplitude" in given:
         refuse("amplitude", "only a line has one", "-shape line, or no -amplitude")
+    if vesicle.shape != "ellipse" and vesicle.viscosity_contrast != 1:
+        refuse("viscosity_contrast", f"a {vesicle.shape} has no inside", "1, or another shape")
     if "rest_length" in given and vesicle.sigma0 == 0:
         refuse("rest_length", "has no meaning without tension (sigma0 is 0)",
                "-sigma0 above 0, or no -rest_length")

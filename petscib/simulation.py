@@ -10,7 +10,7 @@ from time import perf_counter, process_time, sleep
 
 from petsc4py import PETSc
 
-from . import accuracy, energy, events, guard, schemes, solver_options
+from . import accuracy, energy, events, guard, schemes, solver_options, turning
 from .agreement import Agreement, on_rank, on_root
 from .diagnostics import Diagnostics
 from .errors import Crash, CrossingError, InputError, OutputError, SolveError, WallError, ours
@@ -111,6 +111,8 @@ class Simulation:
                     settings, self.state.markers, self.problem.curves)
             on_root(self.comm, lambda: self._check_start(header))
             self._make_scheme()
+            if self.problem.membranes is not None:
+                turning.begin(self.problem, self.state)
             self.diagnostics = Diagnostics(self.problem, self.progress.reference or None)
             self.local_error = None
             if settings.ts_rtol is not None:
@@ -301,7 +303,7 @@ class Simulation:
         advection = self.problem.advection
         if advection is None or advection.implicit:
             return
-        longest = advection.longest_step(self.state.velocity, self.problem.mu)
+        longest = advection.longest_step(self.state.velocity, self.problem.least_mu)
         self.step_size.limit(longest)
         dt = self._next_dt()
         if dt > longest and not self.said_too_long:
@@ -364,6 +366,7 @@ class Simulation:
         step = self.scheme.step(self.state, dt)
         with phase("checks"):
             guard.check(self.problem, step.end)
+            turning.follow(self.problem, step)
             if self.local_error is not None:
                 self.missed = self.local_error.measure(step)
         return step

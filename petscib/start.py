@@ -13,6 +13,10 @@ from .membranes import geometry
 from .membranes.membranes import Constants, Membranes
 from .output import checkpoint
 from .problem import Problem, State
+from .solvers import poisson
+
+# The solver of the indicator of the membranes' insides, once a step.
+INDICATOR = {"prefix": "poisson_indicator_", "defaults": {**poisson.DEFAULTS, "ksp_rtol": 1e-10}}
 
 
 def build_problem(settings, comm, header=None, remarks=None):
@@ -54,9 +58,17 @@ def build_problem(settings, comm, header=None, remarks=None):
             if header is not None:  # those of the run's start
                 start = header.progress.reference["area"][: len(areas)]
                 areas = np.sign(areas) * np.array(start)
-    operators, advection = Operators(grid, sides), None
+    operators, advection, viscosity = Operators(grid, sides), None, None
     if settings.advection != "none":
         advection = Advection(operators, settings.rho, settings.advection == "implicit")
+    if settings.has_contrast:
+        contrasts = [vesicle.viscosity_contrast for vesicle in settings.each_vesicle()]
+        from .fluid.viscosity import Viscosity
+
+        viscosity = Viscosity(
+            operators, KERNELS[settings.delta], membranes.curves, settings.mu,
+            settings.mu * np.array(contrasts),
+            poisson.poisson_solver(operators, settings.fft, **INDICATOR))
     problem = Problem(
         grid,
         operators,
@@ -70,6 +82,7 @@ def build_problem(settings, comm, header=None, remarks=None):
         areas,
         settings.body_force,
         advection,
+        viscosity,
     )
     if header is not None:
         return problem, checkpoint.load_state(header, grid, markers, stretch)

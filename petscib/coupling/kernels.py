@@ -76,6 +76,11 @@ class Kernel:
         """Distance, in grid spacings, that a marker must keep from the walls."""
         return max(self.along_radius, self.across_radius)
 
+    @property
+    def stress_reach(self):
+        """The same where stresses are interpolated too: from faces half a cell further away."""
+        return max(self.reach, self.across_radius + 0.5)
+
 
 def _isotropic(weight, radius):
     return Kernel(weight, radius, weight, radius)

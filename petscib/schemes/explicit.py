@@ -23,9 +23,8 @@ class Explicit(ProjectionScheme):
 
     def step(self, state, dt):
         """Take one step from `state`.  Collective.  Returns a Step."""
-        problem = self.problem
+        problem, stage = self.problem, self.begin(state, dt)
         operators = problem.operators_at(state.markers)
-        stage = self.begin(state, dt)
 
         # rho (u* - u^n) / dt = mu Laplacian u* + F[f^n]
         if problem.acted_on:

@@ -43,6 +43,10 @@ POLES = 2  # a third saves no iterations (64^2 and 256^2, dt of h/4, h and 16 h)
 # 64^2); at 1/2, as far apart as markers, a factorisation takes 1.7 times as long (128^2, 256^2).
 STATIONS = 2 / 3
 
+# Where the viscosity jumps: (s h k)^2 at which a wave feels as much of the smoothed layer as of
+# what is around.  Forces along a circle's normal, contrasts 0.01 to 100, 64^2: 1.3 to 3.2.
+LAYER = 1.8
+
 # Largest change of C, relative to its largest entry, for which a factorisation is kept.  Passes of
 # gbe and gcn took as many iterations at 3e-3 as with a new one (128^2, dt = h, sigma0 1e5 and 1e9).
 KEPT = 1e-3
@@ -127,16 +131,23 @@ class MarkerModel:
     curves : Curves
     grid : Grid
     kernel : Kernel
-    rho, mu : float
+    rho : float
+    mu : float or ndarray, shape (V,)
+        Viscosity at each curve.
     share : float
         Share of the answer that is without divergence: 1/2 of a force's in the coupled system, or
         all of it, 1, in the momentum system.
     prefix : str
         Options prefix of the direct solver.
+    short : float or ndarray, shape (V,), optional
+        Viscosity for short waves, if another.
     """
 
-    def __init__(self, curves, grid, kernel, rho, mu, share, prefix):
-        self.curves, self.rho, self.mu, self.share = curves, rho, mu, share
+    def __init__(self, curves, grid, kernel, rho, mu, share, prefix, short=None):
+        self.curves, self.rho, self.share = curves, rho, share
+        # Of several curves, that of the fit; each has it in proportion.
+        self.mu = np.mean(mu)
+        self._softer = 0.0 if short is None else np.mean(mu / short) - 1
         self.direct = Cholesky(prefix)
         self._stress, self._link = StressMatrix(), None
         self._order = self._interval = None
@@ -145,7 +156,10 @@ class MarkerModel:
         stations = _stations(curves, h)
         self._phi = kron(_sampled(kernel, h, curves, stations), identity(2), format="csr")
         self._second = kron(_second_difference(stations), identity(2), format="csr")
-        self._scale = diags(np.repeat(stations.ds, 2))
+        scale = stations.ds
+        if np.ndim(mu) and curves.count:
+            scale = scale * stations.spread(mu / self.mu)
+        self._scale = diags(np.repeat(scale, 2))
         longest = max(np.diff(curves.starts) * curves.ds[curves.starts[:-1]], default=1.0)
         self._wavenumbers = np.geomspace(2 * np.pi / longest, 3 / h, 60)
         self._range = 2 * np.pi / longest, 2 / h
@@ -155,6 +169,8 @@ class MarkerModel:
         decay = self.rho / (self.mu * interval)
         kappa = np.sqrt(self._wavenumbers**2 + decay)
         symbol = self.share * erfcx(self._smoothing * kappa) / (2 * self.mu * kappa)
+        short = (self._smoothing * self._wavenumbers) ** 2
+        symbol *= 1 + self._softer * short / (short + LAYER)
         low = np.hypot(self._range[0], np.sqrt(decay))
         poles, weights = fit_poles(
             self._wavenumbers, symbol, low, max(self._range[1], 2 * low))

@@ -82,6 +82,9 @@ def cases():
         ("implicit", 10, 1, False), ("implicit", 10, 10, False)):
         found.append(Case("advection", f"{advection}, CFL {cfl:g}, cell Re {cell_reynolds}", dict(
             flow="shear", advection=advection, rho=cell_reynolds / H, ts_dt=cfl * H), quick))
+    for contrast, quick in ((0.01, True), (0.1, False), (10, False), (100, False), (1000, True)):
+        found.append(Case("contrast", f"{contrast:g}, axes 0.2, 0.4", dict(
+            axes=(0.2, 0.4), viscosity_contrast=float(contrast), flow="shear"), quick))
     for name in ("rho", "mu"):
         for power, quick in ((-4, True), (-2, False), (2, False), (4, True)):
             found.append(Case("fluid", f"{name} 1e{power}", {name: 10.0**power}, quick))
