@@ -44,7 +44,8 @@ def main(arguments=None):
             if world.rank == 0:
                 print(*(" ".join(item) for item in installation.versions().items()), sep="\n")
             return 0
-        database = PETSc.Options().getAll()
+        # Of an option without a value PETSc says None, which in a script stands for the default.
+        database = {name: text or "" for name, text in PETSc.Options().getAll().items()}
         # At its end newer PETSc lists what nothing has read; the run has named that already.
         if "options_left" not in database:
             PETSc.Options()["options_left"] = "no"

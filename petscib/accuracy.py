@@ -92,6 +92,9 @@ def _warning(what, most, dt):
             f"-ts_dt {dt:.2g} is advised")
 
 
+JUDGED = "area_error", "perimeter_error", "ledger_residual", "cfl"  # columns, by their largest
+
+
 class Doubts:
     """Why the results of a run are not to be trusted, each with the option that helps.
 
@@ -114,9 +117,8 @@ class Doubts:
     def note(self, row):
         """Take note of a row of diagnostics."""
         for name, value in row.items():
-            kind = next((kind for kind in ("area_error", "perimeter_error", "ledger_residual", "cfl")
-                         if name.rstrip("_0123456789") == kind), None)
-            if kind is not None and value is not None:
+            kind = name.rstrip("_0123456789")
+            if kind in JUDGED and value is not None:
                 self._largest[kind] = max(value, self._largest.get(kind, 0.0))
         self._first, self._last = self._first or row, row
 
@@ -158,9 +160,9 @@ class Doubts:
     def _centroid_drift(self):
         """Way of one vesicle from a point where the flow is at rest, over its radius."""
         settings, first, last = self.settings, self._first or {}, self._last or {}
-        still = settings.vesicles == 1 and settings.flow != "rest" and settings.tether == 0 and not (
-            self.problem.loaded or self.problem.body_force is not None)
-        if not still or not first.get("area"):
+        pushed = self.problem.loaded or self.problem.body_force is not None or settings.tether > 0
+        alone = settings.vesicles == 1 and settings.flow != "rest"
+        if pushed or not alone or not first.get("area"):
             return 0.0
         start, end = (np.array([row["centroid_x"], row["centroid_y"]]) for row in (first, last))
         radius = np.sqrt(first["area"] / np.pi)

@@ -4,7 +4,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from . import energy, rheology
+from . import energy, rheology, turning
 from .energy import Ledger
 from .errors import InputError
 from .membranes import geometry
@@ -12,7 +12,8 @@ from .membranes.laws import LAWS
 
 SOLVERS = ("momentum", "poisson", "coupled", "picard")
 SHAPES = ("area", "perimeter", "area_error", "perimeter_error")
-PLACES = ("inclination", "treading_frequency", "centroid_x", "centroid_y")
+FORCES = tuple(name for law in LAWS.values() for name in getattr(law, "measures", ()))
+PLACES = ("inclination", "turns", "half_turn", "treading_frequency", "centroid_x", "centroid_y")
 
 
 def columns(vesicles, laws=()):
@@ -28,7 +29,7 @@ def columns(vesicles, laws=()):
         *(f"{prefix}{name}{end}" for name in laws
           for prefix, end in (("", "_energy"), ("ledger_", ""))),
         "max_divergence", "max_speed", "cfl", "effective_viscosity", "min_gap",
-        *numbered(PLACES, vesicles),
+        *numbered(PLACES, vesicles), *numbered(FORCES, vesicles),
         *(f"{name}_iterations" for name in SOLVERS),
         "wall_seconds",
     )
@@ -141,7 +142,7 @@ class Diagnostics:
                 row[column] = value
         for number in np.flatnonzero(np.isnan(measured["area"])):  # that enclose no area
             suffix = f"_{number}" if self.vesicles > 1 else ""
-            for name in ("area", "area_error", "inclination", "treading_frequency"):
+            for name in ("area", "area_error", "inclination", "turns", "treading_frequency"):
                 row[name + suffix] = None
         return row
 
@@ -156,6 +157,9 @@ class Diagnostics:
             "centroid_x": center[:, 0],
             "centroid_y": center[:, 1],
         }
+        if turning.TURNING in state.history:
+            measured["turns"], took = turning.measure(state)
+            measured["half_turn"] = [None if np.isnan(time) else time for time in took]
         if step is not None:
             # It treads as seen from its middle, which drifts where it is not held.
             drift = (center - geometry.centroid(step.start.markers, curves)) / step.dt
@@ -163,4 +167,6 @@ class Diagnostics:
                 drift = np.where(self.problem.grid.periodic, drift, 0.0)
             motion = step.marker_velocity - curves.spread(drift)
             measured["treading_frequency"] = geometry.treading_frequency(markers, motion, curves)
+            if step.stress is not None:
+                measured.update(self.problem.membranes.measures(step.stress))
         return measured

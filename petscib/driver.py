@@ -6,11 +6,11 @@ import signal
 import sys
 import traceback
 from contextlib import suppress
-from time import perf_counter, sleep
+from time import perf_counter, process_time, sleep
 
 from petsc4py import PETSc
 
-from . import accuracy, energy, events, guard, schemes, solver_options
+from . import accuracy, energy, events, guard, schemes, solver_options, turning
 from .accuracy import Doubts
 from .agreement import Agreement, on_rank, on_root
 from .diagnostics import Diagnostics
@@ -85,6 +85,7 @@ class Driver:
         self.missed = None, 1  # local error of the last step, and its order
         self.saved_in = None
         self.began = self.saved_at = perf_counter()
+        self.cpu_began = process_time()
         self.longest_attempt = 0.0
         self.scheme = self.results = self.shown = None
         self.first_default = krylov.entered_defaults()
@@ -132,6 +133,8 @@ class Driver:
                     settings, self.state.markers, self.problem.curves)
             on_root(self.comm, lambda: self._check_start(header))
             self._make_scheme()
+            if self.problem.membranes is not None:
+                turning.begin(self.problem, self.state)
             self.diagnostics = Diagnostics(
                 self.problem, self.progress.reference or None, self.measures)
             self.doubts = Doubts(settings, self.problem)
@@ -286,12 +289,13 @@ class Driver:
             self._save("final.h5")
         results.close()
         ended = signal.Signals(self.signal).name if self.signal else "finished"
-        seconds = perf_counter() - self.began
+        seconds = perf_counter() - self.began, process_time() - self.cpu_began
         with stage("output"), phase("output"):
-            said = [name for name, told in (("time step", self.warning), ("gap", self.close)) if told]
+            told = {"time step": self.warning, "gap": self.close}
+            said = [name for name, text in told.items() if text]
             self.doubts.end(self.state, said)
             summary = results.summarise(
-                self.state.step - self.first_step, seconds, events.seconds, ended,
+                self.state.step - self.first_step, *seconds, events.seconds, ended,
                 self.doubts.found)
             if self.settings.plot and not self.signal:
                 results.draw()
@@ -359,7 +363,7 @@ class Driver:
         advection = self.problem.advection
         if advection is None or advection.implicit:
             return
-        longest = advection.longest_step(self.state.velocity, self.problem.mu)
+        longest = advection.longest_step(self.state.velocity, self.problem.least_mu)
         self.step_size.limit(longest)
         dt = self._next_dt()
         if dt > longest and not self.said_too_long:
@@ -422,6 +426,7 @@ class Driver:
         step = self.scheme.step(self.state, dt)
         with phase("checks"):
             guard.check(self.problem, step.end)
+            turning.follow(self.problem, step)
             if self.local_error is not None:
                 self.missed = self.local_error.measure(step)
         return step

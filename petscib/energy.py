@@ -5,11 +5,14 @@ u^{n+1} in the coupled schemes), U that of the markers and f the forces on them 
 
     E^{n+1} - E^n = - rho (theta - 1/2) |u* - u^n|^2          inertia
                     - rho dt^2 / 2 |grad phi|^2                projection
-                    - mu dt |grad w|^2                         viscous
+                    - mu dt |grad w|^2                         viscous (see below)
                     - dt w . rho N(U) w                        advection
                     - dt f . K f                               kink
                     - (theta - 1/2) |dm|^2                     tension, bending, ...: law by law
                     + wall power + body power + load power + reset.
+
+Where the viscosity varies, the viscous term is - dt (mu_min |grad w|^2 + <e, D e>), with the strain
+rates e of w and D the weights of `fluid.viscosity`.
 
 In the advection term U is the transport, and N(U) U stands for N(U) w where it is explicit; the
 implicit one is zero unless fluid passes through walls (see `fluid.advection`).
@@ -125,6 +128,9 @@ def balance(problem, step):
         return sum((balance(problem, part) for part in step.parts), Ledger())
     operators = problem.operators
     rho, mu, dt, theta = problem.rho, problem.mu, step.dt, step.theta
+    excess_dissipation = excess_power = 0.0
+    if step.viscous is not None:
+        mu, (excess_dissipation, excess_power) = problem.viscosity.least, step.viscous
     area = problem.grid.cell_area
     excess = theta - 0.5  # 1/2 or 0: the schemes are backward Euler or Crank-Nicolson
     start, end, stage = step.start, step.end, step.stage
@@ -142,8 +148,8 @@ def balance(problem, step):
     if operators.wall_source is not None:
         drag = stage.dot(operators.wall_source)
         gradient += operators.wall_norm - 2 * drag
-        ledger.wall_power = mu * dt * area * (operators.wall_norm - drag)
-    ledger.viscous = -mu * dt * area * gradient
+        ledger.wall_power = dt * area * (mu * (operators.wall_norm - drag) + excess_power)
+    ledger.viscous = -dt * area * (mu * gradient + excess_dissipation)
 
     if problem.advection is not None:
         ledger.advection = -dt * area * problem.advection.power(step.transport, stage)

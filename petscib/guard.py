@@ -37,7 +37,7 @@ def check_markers(problem, markers):
         raise SolveError("the markers are no longer finite")
     a, b, c, d = problem.grid.domain
     low, high = np.array([a, c]), np.array([b, d])
-    reach = problem.kernel.reach * np.array([problem.grid.dx, problem.grid.dy])
+    reach = problem.reach * np.array([problem.grid.dx, problem.grid.dy])
     gaps = np.stack((markers - low, high - markers)) - reach
     periodic = np.array(problem.grid.periodic)
     gaps[:, :, periodic] = np.inf

@@ -1,7 +1,7 @@
 """Simulations in scripts: options as keywords, steps as iterations, results as arrays."""
 
 import atexit
-from collections.abc import Mapping
+from array import array
 
 import numpy as np
 
@@ -27,8 +27,8 @@ class Simulation:
     interrupt : Interrupt, optional
         Where signals that ask the run to stop are noted.
     **options
-        Every option of the command line by its name without the dash, with Python's values: numbers,
-        tuples, True and False, None for the default.  Beyond the command line,
+        Every option of the command line by its name without the dash, with Python's values:
+        numbers, tuples, True and False, None for the default.  Beyond the command line,
 
         - `flow` and `body_force` may be functions (x, y, t) of arrays that return two;
         - `points` is an array (N, 2) of points along a closed membrane, or a list of such arrays,
@@ -217,8 +217,13 @@ class Simulation:
         return self._driver.summary is not None
 
     @property
+    def signal(self):
+        """Number of the signal that has ended the run, or 0."""
+        return self._driver.signal
+
+    @property
     def markers(self):
-        """Positions of all markers (M, 2), one vesicle after the other; on rank 0, (0, 2) elsewhere.
+        """Positions of all markers (M, 2), vesicle after vesicle; on rank 0, (0, 2) elsewhere.
 
         A view of the state that cannot be written to; each step has a new one.
         """
@@ -273,8 +278,8 @@ class Simulation:
             return None
         whole = [np.empty(index.shape) for index in (grid.u_index, grid.v_index, grid.p_index)]
         for part in parts:
-            for array, (box, values) in zip(whole, part):
-                array[box] = values
+            for table, (box, values) in zip(whole, part):
+                table[box] = values
         u, v, p = whole
         right = np.hstack((u, u[:, :1])) if grid.periodic[0] else u
         top = np.vstack((v, v[:1])) if grid.periodic[1] else v

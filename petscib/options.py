@@ -15,8 +15,8 @@ from petscib import scenes
 from petscib.coupling.kernels import KERNELS
 from petscib.errors import InputError
 from petscib.fluid.flows import FLOWS
-from petscib.schemes.registry import SCHEMES
 from petscib.own import Function, Points, is_own
+from petscib.schemes.registry import SCHEMES
 from petscib.settings import Settings, check, check_domain, resolve, text_of
 from petscib.vesicles import OWN, split
 
@@ -297,6 +297,8 @@ _ROWS = (
            "stiffness of springs from the markers to where they start", "force/length^2"),
     Option("load", Numbers(("fx", "fy")), (0.0, 0.0), MEMBRANE,
            "given force on the membrane, such as its weight", "force/length"),
+    Option("viscosity_contrast", Number(0.01, 1000), 1.0, MEMBRANE,
+           "viscosity inside over that outside"),
     Option("contact", NOT_NEGATIVE, 0.0, MEMBRANE, "strength K of a repulsion between membranes "
            "and from walls, with the energy K/2 (1 - distance/range)^4 per length^2; 0: none",
            "force/length"),
@@ -322,7 +324,7 @@ _ROWS = (
     Option("ts_max_steps", Whole(), None, TIME, "most steps", automatic="no limit"),
     Option("ts_rtol", FRACTION, None, TIME, "choose the time step, from ts_dt on, by the error "
            "that it makes in the markers' positions, relative to the vesicle's size; at most 64 "
-           "ts_dt", automatic="none: fixed time steps"),
+           "ts_dt, and as explicit advection allows", automatic="none: fixed time steps"),
     Option("ts_adapt", Flag(), False, TIME, "retry a failed step with half the time step, halve "
            "it before explicit advection makes one fail, and grow it back later"),
 

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .coupling.kernels import KERNELS
 from .errors import InputError
 from .membranes import arrangement, shapes
 from .membranes.curves import Curves
@@ -174,7 +173,7 @@ def _arranged(settings, grid, vesicles):
     """The vesicles with places, and angles, that an arrangement gives them."""
     cell = np.array((grid.dx, grid.dy))
     box = arrangement.Box(grid.domain, grid.periodic, MARGIN * cell.max(),
-                          max(KERNELS[settings.delta].reach, MARGIN) * cell)
+                          max(settings.reach, MARGIN) * cell)
     axes = [vesicle.axes for vesicle in vesicles]
     try:
         if settings.arrangement == "random":

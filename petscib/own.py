@@ -1,4 +1,4 @@
-"""What a script, or a scene's file, gives in the place of an option's text: functions and points."""
+"""What a script or a scene's file gives in place of an option's text: functions and points."""
 
 import numpy as np
 

@@ -8,6 +8,7 @@ from petsc4py import PETSc
 from . import guard
 from .agreement import on_root
 from .coupling.interpolation import Interpolation
+from .coupling.stress import CorrectedInterpolation, StressInterpolation
 from .events import phase
 from .fluid.force import BodyForce
 from .membranes import mobility
@@ -68,6 +69,8 @@ class Step:
         Pressure increment phi of a projection scheme.
     marker_velocity : ndarray, shape (M, 2)
         U that carried the markers over the step.
+    stress : ndarray, shape (R,)
+        The membranes' stresses at the stage; None without forces.
     stress_rate : ndarray, shape (R,)
         Rates C U of the membranes' stresses at the stage; None without forces.
     ledger : dict
@@ -75,6 +78,9 @@ class Step:
         energy of the stresses that the step predicted.
     transport : PETSc.Vec or None
         What carried momentum along; None without advection.
+    viscous : (float, float) or None
+        Dissipation, and power of walls, of what the viscosity exceeds its least by, per cell; None
+        where it is the same everywhere.
     iterations : dict
         Linear and nonlinear iterations by solver.
     parts : tuple of Step
@@ -88,9 +94,11 @@ class Step:
     stage: PETSc.Vec
     projection: PETSc.Vec = None
     marker_velocity: np.ndarray = None
+    stress: np.ndarray = None
     stress_rate: np.ndarray = None
     ledger: dict = field(default_factory=dict)
     transport: PETSc.Vec = None
+    viscous: tuple = None
     iterations: dict = field(default_factory=dict)
     parts: tuple = ()
 
@@ -141,6 +149,8 @@ class Problem:
         Force per unit area on the fluid, the same everywhere or a function of place and time.
     advection : Advection, optional
         None: creeping flow, whose momentum is not carried along.
+    viscosity : Viscosity, optional
+        None where it is the same everywhere.
 
     Attributes
     ----------
@@ -152,7 +162,7 @@ class Problem:
 
     def __init__(self, grid, operators, rho, mu, membranes=None, kernel=None, evolve=False,
                  kink_correction=True, areas=None, body_force=(0.0, 0.0),
-                 advection=None):
+                 advection=None, viscosity=None):
         self.grid = grid
         self.operators = operators
         self.rho, self.mu = rho, mu
@@ -165,7 +175,7 @@ class Problem:
         self.body_force = None
         if callable(body_force) or any(body_force):
             self.body_force = BodyForce(operators, body_force)
-        self.advection = advection
+        self.advection, self.viscosity = advection, viscosity
 
     @property
     def curves(self):
@@ -183,9 +193,39 @@ class Problem:
         return self.membranes is not None and bool(self.membranes.loads)
 
     @property
+    def least_mu(self):
+        """The least viscosity anywhere."""
+        return self.mu if self.viscosity is None else self.viscosity.least
+
+    @property
     def conserve_area(self):
         """Whether membranes keep their areas."""
         return self.areas is not None
+
+    @property
+    def slips(self):
+        """Whether interpolation is corrected for what smoothing does to the velocity."""
+        return self.kink_correction and (self.acted_on or self.viscosity is not None)
+
+    @property
+    def reach(self):
+        """Distance, in grid spacings, that a marker must keep from the walls."""
+        if self.viscosity is not None and self.slips:
+            return self.kernel.stress_reach
+        return self.kernel.reach
+
+    def place_viscosity(self, markers):
+        """Have the viscosity change at these markers, where it does at all.  Collective.
+
+        Raises
+        ------
+        SolveError
+            On all ranks: as `interpolation`, or the solve for the indicator has failed.
+        """
+        if self.viscosity is not None:
+            with phase("viscosity"):
+                on_root(self.grid.comm.tompi4py(), lambda: guard.check_markers(self, markers))
+                self.viscosity.place(markers)
 
     def interpolation(self, markers):
         """The matrix J at these marker positions.  Collective.
@@ -197,7 +237,10 @@ class Problem:
         """
         with phase("interpolation assembly"):
             on_root(self.grid.comm.tompi4py(), lambda: guard.check_markers(self, markers))
-            return Interpolation(self.grid, self.kernel, markers)
+            stresses = None
+            if self.viscosity is not None and self.slips:
+                stresses = StressInterpolation(self.viscosity, self.kernel, markers)
+            return Interpolation(self.grid, self.kernel, markers, stresses)
 
     def operators_between(self, before, after, interpolation):
         """What acts at the markers on the way between two configurations.
@@ -218,12 +261,20 @@ class Problem:
             curves = self.membranes.curves
             middle = before if after is before else (before + after) / 2
             slip = projector = None
-            if self.kink_correction and self.acted_on:
-                slip = mobility.Slip(curves, middle, self.grid, self.kernel, self.mu)
+            if self.slips:
+                interpolation, slip = self._corrected(interpolation, middle)
             if self.conserve_area:
                 projector = mobility.AreaProjector(curves, middle)
             return MarkerOperators(
                 interpolation, self.membranes.rates(before, after), slip, projector)
+
+    def _corrected(self, interpolation, markers):
+        """J, or J' where the viscosity varies, and the slip at some markers."""
+        place = self.membranes.curves, markers, self.grid, self.kernel
+        if self.viscosity is None:
+            return interpolation, mobility.Slip(*place, self.mu)
+        slip = mobility.ContrastSlip(*place, self.mu, self.viscosity.inner)
+        return CorrectedInterpolation(interpolation, slip), slip
 
     def operators_at(self, markers):
         """What acts at these markers; None without membranes.  Collective."""
@@ -254,6 +305,8 @@ class Problem:
     def spread_load(self, load, markers, rhs):
         """Add a given force (M, 2) on markers in a place to the fluid's.  Collective."""
         interpolation = self.interpolation(markers)
+        if self.viscosity is not None and self.slips:
+            interpolation = self._corrected(interpolation, markers)[0]
         if self.conserve_area:
             load = mobility.AreaProjector(self.membranes.curves, markers).project(load)
         interpolation.spread_add(load, rhs)
@@ -279,10 +332,14 @@ class Problem:
 
         Less the part of advection that does not depend on the solution, with a transport.
         """
+        viscosity, mu = self.viscosity, self.mu
         state.velocity.copy(rhs)
         rhs.scale(self.rho / interval)
+        if viscosity is not None:
+            viscosity.add_wall_force(rhs)
+            mu = viscosity.least
         if self.operators.wall_source is not None:
-            rhs.axpy(self.mu, self.operators.wall_source)
+            rhs.axpy(mu, self.operators.wall_source)
         if self.body_force is not None:
             rhs.axpy(1.0, self.body_force.at(state.time + interval))
         if transport is not None:

@@ -63,6 +63,18 @@ class Settings:
         return [self.vesicle(number) for number in range(self.vesicles)]
 
     @property
+    def has_contrast(self):
+        """Whether the viscosity inside any vesicle is another than outside."""
+        return any(vesicle.viscosity_contrast != 1 for vesicle in self.each_vesicle())
+
+    @property
+    def reach(self):
+        """Cells between markers and walls at least, by the delta function."""
+        kernel = KERNELS[self.delta]
+        wide = self.kink_correction and self.has_contrast
+        return kernel.stress_reach if wide else kernel.reach
+
+    @property
     def line_axis(self):
         """Direction of lines across the box, 0 for x: the first in which it is periodic."""
         return 0 if "x" in self.periodic else 1
@@ -97,8 +109,9 @@ def typical_speed(values):
     It is the top speed of the background flow in the box, or that of a vesicle driven by its
     bending if that is more. With L half the shorter side of the box, the latter is
     100 c_b / (mu L^2), as for a vesicle of the half width L / 10, or the smaller
-    sqrt(1000 c_b / (rho L^3)) where inertia holds it back. Where nothing moves, it is the speed
-    mu / (rho L) at which momentum spreads.
+    sqrt(1000 c_b / (rho L^3)) where inertia holds it back. Waves on a line stretched across the
+    box run at sqrt(pi sigma / (rho length)), sigma the tension, without viscosity. Where nothing
+    moves, it is the speed mu / (rho L) at which momentum spreads.
 
     Parameters
     ----------
@@ -120,7 +133,16 @@ def typical_speed(values):
     with np.errstate(all="ignore"):
         flow = np.abs(velocity(values["flow"], x, y, values["shear_rate"], values["domain"])).max()
         membrane = min(100 * bending / (mu * size**2), np.sqrt(1000 * bending / (rho * size**3)))
-        return float(max(flow, membrane) or mu / (rho * size))
+        length = b - a if "x" in values["periodic"] else d - c
+        waves = np.sqrt(np.pi * _tension_of_lines(values) / (rho * length))
+        return float(max(flow, membrane, waves) or mu / (rho * size))
+
+
+def _tension_of_lines(values):
+    """The largest tension at the start in a line across the box; 0 without any."""
+    vesicles = [of(values, k) for k in range(values["vesicles"])]
+    return max([0.0, *(one.sigma0 * (1 - one.rest_length) for one in vesicles
+                       if one.shape == "line" and one.rest_length is not None)])
 
 
 def resolve(values, given, cfl):
@@ -266,7 +288,7 @@ def check_curve(settings, vesicle, low, high, perimeter, names):
     names = tuple(map(vesicle.option, names))
     a, b, c, d = settings.domain
     dx, dy = (b - a) / settings.stag_grid_x, (d - c) / settings.stag_grid_y
-    reach = KERNELS[settings.delta].reach
+    reach = settings.reach
     placing = *names, "domain", "delta", "stag_grid_x", "stag_grid_y"
     for name, size, period in (("x", high[0] - low[0], b - a), ("y", high[1] - low[1], d - c)):
         if name in settings.periodic and size > period:
@@ -384,6 +406,8 @@ def _check_vesicle(settings, vesicle):
                 refuse(name, "a line goes straight across the box", f"no -{name}")
     elif "amplitude" in given:
         refuse("amplitude", "only a line has one", "-shape line, or no -amplitude")
+    if vesicle.shape != "ellipse" and vesicle.viscosity_contrast != 1:
+        refuse("viscosity_contrast", f"a {vesicle.shape} has no inside", "1, or another shape")
     if "rest_length" in given and vesicle.sigma0 == 0:
         refuse("rest_length", "has no meaning without tension (sigma0 is 0)",
                "-sigma0 above 0, or no -rest_length")

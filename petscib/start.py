@@ -15,7 +15,10 @@ from .membranes.laws import check_law
 from .membranes.membranes import Constants, Membranes
 from .output import checkpoint
 from .problem import Problem, State
-from .solvers.poisson import poisson_solver
+from .solvers import poisson
+
+# The solver of the indicator of the membranes' insides, once a step.
+INDICATOR = {"prefix": "poisson_indicator_", "defaults": {**poisson.DEFAULTS, "ksp_rtol": 1e-10}}
 
 
 def build_problem(settings, comm, header=None, remarks=None, own_laws=()):
@@ -64,9 +67,17 @@ def build_problem(settings, comm, header=None, remarks=None, own_laws=()):
             if header is not None:  # those of the run's start
                 start = header.progress.reference["area"][: len(areas)]
                 areas = np.sign(areas) * np.array(start)
-    operators, advection = Operators(grid, sides), None
+    operators, advection, viscosity = Operators(grid, sides), None, None
     if settings.advection != "none":
         advection = Advection(operators, settings.rho, settings.advection == "implicit")
+    if settings.has_contrast:
+        contrasts = [vesicle.viscosity_contrast for vesicle in settings.each_vesicle()]
+        from .fluid.viscosity import Viscosity
+
+        viscosity = Viscosity(
+            operators, KERNELS[settings.delta], membranes.curves, settings.mu,
+            settings.mu * np.array(contrasts),
+            poisson.poisson_solver(operators, settings.fft, **INDICATOR))
     problem = Problem(
         grid,
         operators,
@@ -80,6 +91,7 @@ def build_problem(settings, comm, header=None, remarks=None, own_laws=()):
         areas,
         settings.body_force,
         advection,
+        viscosity,
     )
     if header is not None:
         return problem, checkpoint.load_state(header, grid, markers, stretch)
@@ -102,7 +114,7 @@ def _own(makers, curves, markers, others, comm):
 
 def _make_solenoidal(operators, velocity, fft):
     """Take the divergence from a flow: that of the user's has one on the grid.  Collective."""
-    solver = poisson_solver(operators, fft)
+    solver = poisson.poisson_solver(operators, fft)
     source, potential = (operators.grid.pressure_vector() for _ in range(2))
     operators.divergence.mult(velocity, source)
     solver.solve(source, potential)

@@ -11,7 +11,7 @@ from typing import Any
 
 # What a vesicle may have its own value of.
 OWN = ("shape", "axes", "center", "angle", "amplitude", "markers", "marker_file", "sigma0",
-       "bending", "rest_length", "tether", "load")
+       "bending", "rest_length", "tether", "load", "viscosity_contrast")
 _NAME = re.compile(r"vesicle_(\d{1,9})_(\w*)", re.ASCII)
 
 

@@ -238,7 +238,7 @@ def projector(markers, ds):
     return np.eye(len(normal)) - np.outer(normal, normal) / (normal @ normal)
 
 
-def stage(grid, friction, mu, load, walls, carry, slip, stiffness, force, coupled):
+def stage(grid, friction, mu, load, walls, carry, slip, stiffness, force, coupled, viscous=0.0):
     """The stage of an implicit scheme, fluid and forces on the markers in one dense system.
 
         friction w - mu Laplacian w (+ grad p) = load + carry^T f / (dx dy),   (div w = 0,)
@@ -254,6 +254,8 @@ def stage(grid, friction, mu, load, walls, carry, slip, stiffness, force, couple
         K, and theta dt W, for forces on the markers (not per ds).
     force : ndarray, shape (2M,)
         At the start.
+    viscous : ndarray, shape (N, N)
+        Added to the fluid's matrix.
 
     Returns
     -------
@@ -261,7 +263,7 @@ def stage(grid, friction, mu, load, walls, carry, slip, stiffness, force, couple
         In natural order; p of zero mean, without entries unless coupled.
     """
     inner = inner_faces(grid)
-    fluid = friction * np.eye(len(load)) - mu * laplacian(grid)
+    fluid = friction * np.eye(len(load)) - mu * laplacian(grid) + viscous
     spread, div = carry.T / (grid.dx * grid.dy), divergence(grid)
     scale = 1 + np.abs(stiffness).sum(axis=1)
     response = (np.eye(len(force)) + stiffness @ slip) / scale[:, None]

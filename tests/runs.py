@@ -6,8 +6,8 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from petscib import options, restart, solver_options
-from petscib.output import tables
 from petscib.driver import Driver
+from petscib.output import tables
 
 comm = MPI.COMM_WORLD
 SMALL = {"stag_grid_x": "24", "ts_dt": "0.08333333333333333", "axes": "0.25,0.4",

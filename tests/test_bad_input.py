@@ -7,8 +7,8 @@ from petsc4py import PETSc
 from runs import SMALL, comm
 
 from petscib import options, restart, sources
-from petscib.errors import InputError
 from petscib.driver import Driver
+from petscib.errors import InputError
 
 # --- one process, every stage of a start: options, restart, marker file, output folder
 

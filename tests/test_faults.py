@@ -16,9 +16,9 @@ from petsc4py import PETSc
 from runs import SMALL, arrays, assert_same_run, prepare, rows, run
 
 from petscib import guard, options, schemes
+from petscib.driver import Driver
 from petscib.errors import Crash, InputError, SolveError, WallError, ours
 from petscib.output import checkpoint, lock
-from petscib.driver import Driver
 from petscib.solvers import krylov
 
 OPTIONS = ["-scheme", "mbe"] + [

@@ -225,6 +225,7 @@ def test_closing_lines():
         "perimeter error     3.400e-08",
         "seconds per step    0.025 (100 steps in 2.5 s, after 0.3 s of set-up)",
         "results in          out/tanktreading",
+        "look at             out/tanktreading/diagnostics.csv",
     ]
     summary["options"]["flow"] = "rest"
     assert monitor.closing_lines(summary)[0].startswith("area error")
@@ -233,7 +234,8 @@ def test_closing_lines():
 def test_closing_lines_without_vesicle_or_steps():
     last_row = {"step": 0, "area_error": None, "inclination": None, "treading_frequency": None}
     summary = {"last_row": last_row, "steps": 0, "total_seconds": 0.1, "output": "out/driven"}
-    assert monitor.closing_lines(summary) == ["results in          out/driven"]
+    assert monitor.closing_lines(summary) == [
+        "results in          out/driven", "look at             out/driven/diagnostics.csv"]
     assert monitor.closing_lines({}) == []
 
 

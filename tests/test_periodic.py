@@ -9,10 +9,10 @@ from mpi4py import MPI
 from runs import arrays, assert_same_run, prepare, run
 
 from petscib import options, schemes
+from petscib.driver import Driver
 from petscib.errors import InputError
 from petscib.output.xdmf import Series, cell_fields
 from petscib.problem import Step
-from petscib.driver import Driver
 
 RHO, MU = 1.3, 0.7
 BOX = {"stag_grid_x": "24", "stag_grid_y": "21", "domain": "-1,2,0.5,2", "rho": str(RHO),

@@ -38,7 +38,7 @@ class PaperStep:
 
     def __init__(self, problem, state):
         self.grid, self.kernel = problem.grid, problem.kernel
-        self.ds = problem.membranes.curves.ds[0]
+        self.ds = problem.membranes.constants.curves.ds[0]
         self.evolve = problem.evolve
         self.velocity = dense.velocity(self.grid, state.velocity)
         comm = self.grid.comm.tompi4py()

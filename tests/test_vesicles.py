@@ -10,12 +10,12 @@ import pytest
 from runs import arrays, assert_same_run, comm, prepare, rows, run
 
 from petscib import diagnostics, options, restart, vesicle_files
+from petscib.driver import Driver
 from petscib.errors import InputError, SolveError
 from petscib.membranes import arrangement, geometry, shapes
 from petscib.membranes.curves import Curves
 from petscib.membranes.gaps import Gaps
 from petscib.output import tables
-from petscib.driver import Driver
 
 TRUTH = pathlib.Path(__file__).with_name("two_vesicles.json")
 GCN = {"scheme": "gcn", "fft": "yes", "ts_dt": "0.1"}

@@ -29,17 +29,17 @@ class Stencil:
         periods = [cells if wraps else None
                    for cells, wraps in zip((grid.m, grid.n), grid.periodic)]
         (x_along, y_along), (x_across, y_across) = (
-            self._lines(np.stack((x, y)) - shift, weight, radius, periods)
+            self.lines(np.stack((x, y)) - shift, weight, radius, periods)
             for shift, weight, radius in (
                 (0.0, kernel.along, kernel.along_radius),
                 (0.5, kernel.across, kernel.across_radius),
             )
         )
-        self.u = self._product(y_across, x_along)
-        self.v = self._product(y_along, x_across)
+        self.u = self.product(y_across, x_along)
+        self.v = self.product(y_along, x_across)
 
     @staticmethod
-    def _lines(positions, weight, radius, periods):
+    def lines(positions, weight, radius, periods):
         """Grid lines within `radius` of each of two coordinates: indices and weights."""
         first = np.ceil(positions - radius).astype(PETSc.IntType)
         lines = first[:, :, None] + np.arange(round(2 * radius), dtype=PETSc.IntType)
@@ -50,7 +50,8 @@ class Stencil:
         ]
 
     @staticmethod
-    def _product(vertical, horizontal):
+    def product(vertical, horizontal):
+        """Rows, columns and weights of all pairs of a line across y and one across x."""
         rows, row_weights = vertical
         columns, column_weights = horizontal
         weights = row_weights[:, :, None] * column_weights[:, None, :]
@@ -96,17 +97,31 @@ class Interpolation:
     kernel : Kernel
     markers : ndarray, shape (M, 2)
         Positions on rank 0; shape (0, 2) on the other ranks.
+    stresses : StressInterpolation, optional
+        At the same markers, where the viscosity varies; owned.
 
     Attributes
     ----------
     stencil : Stencil
     """
 
-    def __init__(self, grid, kernel, markers):
-        self.grid = grid
+    def __init__(self, grid, kernel, markers, stresses=None):
+        self.grid, self.stresses = grid, stresses
         self.stencil = Stencil(grid, kernel, markers)
         self._count = len(markers)
-        self._matrix = self._values = None
+        self._matrix = self._values = self._near = None
+
+    def use(self, near, matrix):
+        """Interpolate by way of the faces near the markers, without a matrix over all of them.
+
+        Parameters
+        ----------
+        near : Near
+            Gathers a velocity vector's values there (see `petscib.solvers.force`).
+        matrix : scipy.sparse.csr_matrix
+            J on these faces.
+        """
+        self._near = near, matrix
 
     @property
     def matrix(self):
@@ -123,6 +138,9 @@ class Interpolation:
 
     def interpolate(self, velocity):
         """Velocity U at the markers: (M, 2) on rank 0, (0, 2) elsewhere."""
+        if self._near is not None:
+            near, matrix = self._near
+            return (matrix @ near.gather(velocity)).reshape(-1, 2)
         self.matrix.mult(velocity, self._values)
         return self._values.getArray(readonly=True).reshape(-1, 2).copy()
 
@@ -142,6 +160,9 @@ class Interpolation:
 
     def destroy(self):
         """Free the matrix.  Collective; left to Python it would outlive the step."""
+        if self.stresses is not None:
+            self.stresses.destroy()
+            self.stresses = None
         if self._matrix is not None:
             self._matrix.destroy()
             self._values.destroy()

@@ -98,3 +98,28 @@ def thickness(kernel, normal):
     """
     straight, diagonal = constants(kernel)
     return straight + 4 * (diagonal - straight) * (normal[..., 0] * normal[..., 1]) ** 2
+
+
+@cache
+def stress_work(weight, radius, inner, outer):
+    """int mu delta^2 across a membrane, in grid spacings: how it bears stress on both sides.
+
+    With 1 / mu = inner + (outer - inner) H, H the integral of delta.
+
+    Parameters
+    ----------
+    weight : callable
+        The one-dimensional function delta.
+    radius : float
+        Half width of its support.
+    inner, outer : float
+        1 / mu on both sides.
+    """
+    edges = _edges(radius)
+
+    def integrand(x):
+        passed = _integrate(weight, np.minimum(edges, x[..., None]))
+        return weight(x) ** 2 / (inner + (outer - inner) * passed)
+
+    # Where mu is large on one side, it changes fast.
+    return float(_integrate(integrand, np.linspace(-radius, radius, int(32 * radius) + 1)))

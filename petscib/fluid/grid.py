@@ -85,15 +85,15 @@ class Grid:
         self.v_box = (slice(y0, y0 + ny + extra_y), columns)
         where = PETSc.DMStag.StencilLocation
         shape_u, shape_v = (self.n, self._lines_x), (self._lines_y, self.m)
-        self.u_index = self._table(self.velocity_dm, where.LEFT, self.u_box, shape_u)
-        self.v_index = self._table(self.velocity_dm, where.DOWN, self.v_box, shape_v)
-        self.p_index = self._table(self.pressure_dm, where.ELEMENT, self.p_box, (self.n, self.m))
+        self.u_index = self.number(self.velocity_dm, where.LEFT, self.u_box, shape_u)
+        self.v_index = self.number(self.velocity_dm, where.DOWN, self.v_box, shape_v)
+        self.p_index = self.number(self.pressure_dm, where.ELEMENT, self.p_box, (self.n, self.m))
 
-    def _table(self, dm, location, box, shape):
-        """Gather the PETSc numbers of one kind of unknown into natural order on every rank."""
+    def number(self, dm, location, box, shape, component=0):
+        """PETSc numbers of one kind of unknown in natural order, on every rank.  Collective."""
         (gx, gy), (width, height) = dm.getGhostCorners()
         local = dm.getLGMap().indices.reshape(height, width, dm.getEntriesPerElement())
-        slot = dm.getLocationSlot(location, 0)
+        slot = dm.getLocationSlot(location, component)
         rows, columns = box
         mine = local[rows.start - gy : rows.stop - gy, columns.start - gx : columns.stop - gx, slot]
         table = np.empty(shape, dtype=PETSc.IntType)

@@ -39,7 +39,7 @@ def assemble(comm, shape, columns, values):
     return matrix
 
 
-def _shifted(table, box, row, column, periodic=(False, False)):
+def shifted(table, box, row, column, periodic=(False, False)):
     """Entries of `table` over `box` moved by (row, column).
 
     Beyond a periodic side (flags in x and y) they are those within the other; beyond walls, -1.
@@ -111,7 +111,7 @@ class Operators:
             self.v_unknown[[0, -1], :] = -1
 
     def _neighbours(self, table, box, row, column):
-        return _shifted(table, box, row, column, self.grid.periodic)
+        return shifted(table, box, row, column, self.grid.periodic)
 
     def force(self, *force):
         """New velocity vector of a force that acts on all faces but those of walls.

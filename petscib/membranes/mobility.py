@@ -24,33 +24,76 @@ class Slip:
         Where the chords are taken: at the step's start, or in its middle.
     grid : Grid
     kernel : Kernel
-    mu : float
+    mu : float or ndarray, shape (M,)
         Viscosity.
 
     Attributes
     ----------
     tangent : ndarray, shape (M, 2)
         t.
+    thickness : ndarray, shape (M,)
+        c = C h_n / 2.
+    length : ndarray, shape (M,)
+        What of the curve a marker stands for, |X_s| ds.
     mobility : ndarray, shape (M,)
         Velocity along t for a force along t on the marker.
     """
 
     def __init__(self, curves, markers, grid, kernel, mu):
         chord = curves.chords(markers)
-        # The curve's length that a marker stands for, |X_s| ds.
         ends = (curves.after == np.arange(len(markers))) | (
             curves.before == np.arange(len(markers)))
         length = np.hypot(*chord.T)
         self.tangent = chord / length[:, None]
+        self.length = length * np.where(ends, 1.0, 0.5)
         scaled = self.tangent[:, ::-1] * (grid.dx, grid.dy)  # the normal, but for signs
-        spacing = np.hypot(*scaled.T)
-        factor = kink.thickness(kernel, scaled / spacing[:, None])
-        self.mobility = factor * spacing / (2 * mu * length * np.where(ends, 1.0, 0.5))
+        self.spacing = np.hypot(*scaled.T)
+        factor = kink.thickness(kernel, scaled / self.spacing[:, None])
+        self.mobility = factor * self.spacing / (2 * mu * self.length)
+        self.thickness = factor * self.spacing / 2
 
     def velocity(self, force):
         """K f, shape (M, 2), for a force on the markers (per marker, not per ds)."""
         along = self.mobility * np.einsum("ki,ki->k", self.tangent, force)
         return along[:, None] * self.tangent
+
+
+class ContrastSlip(Slip):
+    """The kink correction where the viscosity inside is another, with what J' needs.
+
+    K = max(0, c (1 / mu_o + 1 / mu_i) / 2 - c^2 (1 / mu_o - 1 / mu_i)^2 int mu delta^2) t t^T
+    over |X_s|: the second term is the answer to the stresses that J' spreads (see
+    `coupling.stress`), c = C h_n / 2.
+
+    Parameters
+    ----------
+    curves, markers, grid, kernel
+        As in Slip.
+    outer : float
+        Viscosity of the fluid around.
+    inner : ndarray, shape (V,)
+        That inside of each membrane.
+
+    Attributes
+    ----------
+    normal : ndarray, shape (M, 2)
+        Outward.
+    per_stress : ndarray, shape (M,)
+        c (1 / mu_o - 1 / mu_i).
+    """
+
+    def __init__(self, curves, markers, grid, kernel, outer, inner):
+        inner = inner[: curves.count]  # none where there are no markers
+        work = np.array([
+            kink.stress_work(kernel.across, kernel.across_radius, 1 / value, 1 / outer)
+            for value in inner])
+        super().__init__(curves, markers, grid, kernel,
+                         curves.spread(2 / (1 / outer + 1 / inner)))
+        side = curves.spread(np.sign(signed_area(markers, curves)))
+        self.normal = side[:, None] * self.tangent[:, ::-1] * (1, -1)
+        self.per_stress = self.thickness * curves.spread(1 / outer - 1 / inner)
+        answered = self.per_stress**2 * curves.spread(work) / self.spacing
+        self.mobility = np.maximum(self.mobility - answered / self.length, 0.0)
 
 
 class AreaProjector:
@@ -79,17 +122,21 @@ class AreaProjector:
 
     def project(self, values):
         """Pi q, shape (M, 2)."""
+        if self.curves.count == 1:  # the usual case, several times an iteration
+            return values - np.vdot(self.dual, values) * self.normal
         return values - self.curves.spread(self.component(values))[:, None] * self.normal
 
 
 def restore_areas(curves, markers, target):
     """Shift markers along N until each membrane around an area has the signed area `target`.
 
-    Newton's method; the area is quadratic in the shift, so three steps take an error of 1e-2 to
-    round-off.
+    The area is quadratic in the shift s: that of X + s D is that of X plus s plus s^2 times that
+    of D, with D = N / |N|^2.
     """
-    for _ in range(3):
-        projector = AreaProjector(curves, markers)
-        missing = np.where(curves.encloses, target - signed_area(markers, curves), 0.0)
-        markers = markers + curves.spread(missing)[:, None] * projector.dual
-    return markers
+    direction = AreaProjector(curves, markers).dual
+    area, bend = (signed_area(values, curves) for values in (markers, direction))
+    missing = np.where(curves.encloses, target - area, 0.0)
+    bend = np.where(curves.encloses, bend, 0.0)
+    # The root that goes to zero with what is missing; nothing can be done for less than a point.
+    shift = 2 * missing / (1 + np.sqrt(np.maximum(1 + 4 * missing * bend, 0.0)))
+    return markers + curves.spread(shift)[:, None] * direction

@@ -4,6 +4,7 @@ A monitor is told where the run starts, gets each row of the diagnostics table, 
 the end. It never decides anything.
 """
 
+import itertools
 import math
 import os
 import sys
@@ -277,7 +278,8 @@ def closing_lines(summary):
     Returns
     -------
     list of str
-        The inclination and the frequency are left out without a vesicle or a flow, the errors
+        The frequency is that of vesicles that tread; those that tumble have the time of their last
+        half turn instead.  All that is left out without a vesicle or a flow, the errors
         without a vesicle. Several vesicles share a line; of their errors the largest is given.
     """
     row = summary.get("last_row") or {}
@@ -288,11 +290,16 @@ def closing_lines(summary):
 
     options = summary.get("options", {})
     if options.get("flow") != "rest" and options.get("shear_rate") != 0:
-        for title, name, unit in (
-            ("inclination / pi", "inclination", math.pi),
-            ("treading frequency", "treading_frequency", 1.0),
+        halves = _values(row, "half_turn")
+        # Of one that tumbles a frequency of treading means nothing.
+        treads = [value for value, half in itertools.zip_longest(
+            _values(row, "treading_frequency"), halves) if half is None]
+        for title, values, unit in (
+            ("inclination / pi", _values(row, "inclination"), math.pi),
+            ("treading frequency", treads, 1.0),
+            ("half-turn period", halves, 1.0),
         ):
-            values = [value for value in _values(row, name) if _number(value)]
+            values = [value for value in values if _number(value)]
             if values:
                 add(title, ", ".join(f"{value / unit:.5g}" for value in values))
     for title, name in (("area error", "area_error"), ("perimeter error", "perimeter_error")):

@@ -201,7 +201,7 @@ class Results:
         for path in old:
             os.unlink(path)
 
-    def summarise(self, steps, seconds, phases, ended, doubts):
+    def summarise(self, steps, seconds, cpu_seconds, phases, ended, doubts):
         """Write summary.json and return its content.  Raises OutputError on all ranks."""
         summary = {
             "versions": installation.versions(),
@@ -213,6 +213,7 @@ class Results:
             "doubts": doubts,
             "steps": steps,
             "total_seconds": seconds,
+            "cpu_seconds": self.comm.allreduce(cpu_seconds),  # of all ranks together
             "phase_seconds": dict(phases),
             "peak_memory_bytes": peak_memory(self.comm),
             "last_row": {

@@ -11,6 +11,7 @@ In a frame, with 4-byte floats for m x n cells, row index y and column index x:
 /fluid/velocity        (n, m, 3)        at the cell centres: mean of the two faces; z is 0
 /fluid/pressure        (n, m)           at the cell centres
 /fluid/vorticity       (n, m)           mean of the cell's four corners
+/fluid/viscosity       (n, m)           at the cell centres, where it varies
 /vesicle_0/X           (M, 2)           markers, moved by whole periods where the box is periodic
 /vesicle_0/edges       (M, 2)           numbers of the markers that edge k joins: k - 1 and k
 /vesicle_0/tension     (M,)             tension sigma on edge k
@@ -147,6 +148,10 @@ class Series:
             _real("fluid/pressure", pressure, shape, box),
             _real("fluid/vorticity", vorticity, shape, box),
         ]
+        if problem.viscosity is not None:
+            problem.place_viscosity(state.markers)
+            viscosity = grid.pressure_block(problem.viscosity.cells)
+            datasets.append(_real("fluid/viscosity", viscosity, shape, box))
         if problem.membranes is not None:
             datasets += self._vesicles(state)
         attributes = {"/": {"step": state.step, "time": state.time}}
@@ -191,14 +196,15 @@ class Series:
 
     def _fluid(self, frame, time):
         m, n = self.problem.grid.m, self.problem.grid.n
+        scalars = ["pressure", "vorticity"] + ["viscosity"] * (self.problem.viscosity is not None)
         return _grid(
             "fields", time,
             f'<Topology TopologyType="2DRectMesh" Dimensions="{n + 1} {m + 1}"/>\n'
             f'<Geometry GeometryType="VXVY">\n{_item(frame, "x", m + 1, size=8)}'
             f'{_item(frame, "y", n + 1, size=8)}</Geometry>\n'
             + _attribute("velocity", "Vector", _item(frame, "fluid/velocity", n, m, 3))
-            + _attribute("pressure", "Scalar", _item(frame, "fluid/pressure", n, m))
-            + _attribute("vorticity", "Scalar", _item(frame, "fluid/vorticity", n, m))
+            + "".join(_attribute(name, "Scalar", _item(frame, f"fluid/{name}", n, m))
+                      for name in scalars)
         )
 
     def _all_vesicles(self, frame, time):

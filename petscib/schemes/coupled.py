@@ -22,8 +22,8 @@ class Coupled(StageScheme):
 
     def step(self, state, dt):
         """Take one step from `state`.  Collective.  Returns a Step."""
-        problem = self.problem
-        operators, stage = problem.operators_at(state.markers), self.begin(state, dt)
+        problem, stage = self.problem, self.begin(state, dt)
+        operators = problem.operators_at(state.markers)
         stress = self.free_stress(state, dt, stage, operators)
 
         # rho (w - u^n) / (theta dt) + grad p = mu Laplacian w + F[f],  div w = 0,

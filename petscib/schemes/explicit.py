@@ -23,14 +23,14 @@ class Explicit(ProjectionScheme):
 
     def step(self, state, dt):
         """Take one step from `state`.  Collective.  Returns a Step."""
-        problem = self.problem
+        problem, stage = self.problem, self.begin(state, dt)
         operators = problem.operators_at(state.markers)
-        stage = self.begin(state, dt)
 
         # rho (u* - u^n) / dt = mu Laplacian u* + F[f^n]
         if problem.acted_on:
             with phase("forces"):
-                operators.spread_add(operators.force(problem.stress(state)), self._rhs)
+                stage.stress = problem.stress(state)
+                operators.spread_add(operators.force(stage.stress), self._rhs)
         with phase("momentum solve"):
             iterations = {"momentum": self.system.solve(self._rhs, stage, dt)}
 

@@ -47,15 +47,15 @@ class Solvers:
 
     def momentum(self):
         """Of the momentum system."""
-        def transform():
-            from ..solvers.transforms.helmholtz import HelmholtzTransform
-
-            return HelmholtzTransform(self.problem.grid)
-
-        return self._fluid(Momentum, transform)
+        if self.problem.viscosity is not None:
+            return self._varying("VaryingMomentum")
+        return self._fluid(Momentum, self._helmholtz)
 
     def stokes(self):
         """Of velocity and pressure together."""
+        if self.problem.viscosity is not None:
+            return self._varying("VaryingStokes")
+
         def transform():
             from ..solvers.transforms.stokes import StokesTransform
 
@@ -63,12 +63,23 @@ class Solvers:
 
         return self._fluid(Stokes, transform)
 
-    def _fluid(self, kind, transform):
+    def _helmholtz(self):
+        from ..solvers.transforms.helmholtz import HelmholtzTransform
+
+        return HelmholtzTransform(self.problem.grid)
+
+    def _varying(self, name):
+        from ..solvers import varying
+
+        return self._fluid(getattr(varying, name), self._helmholtz, self.problem.viscosity)
+
+    def _fluid(self, kind, transform, viscosity=None):
         problem, advection = self.problem, self.problem.advection
         if advection is not None and not advection.implicit:
             advection = None
-        return kind(problem.operators, problem.rho, problem.mu, transform() if self.fft else None,
-                    advection)
+        return kind(problem.operators, problem.rho,
+                    problem.mu if viscosity is None else viscosity,
+                    transform() if self.fft else None, advection)
 
     def poisson(self):
         """Of the pressure's Poisson problem."""

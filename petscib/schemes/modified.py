@@ -19,8 +19,8 @@ class Modified(ProjectionScheme):
 
     def step(self, state, dt):
         """Take one step from `state`.  Collective.  Returns a Step."""
-        problem = self.problem
-        operators, stage = problem.operators_at(state.markers), self.begin(state, dt)
+        problem, stage = self.problem, self.begin(state, dt)
+        operators = problem.operators_at(state.markers)
         stress = self.free_stress(state, dt, stage, operators)
 
         # rho (w - u^n) / (theta dt) = mu Laplacian w + F[f],

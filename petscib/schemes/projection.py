@@ -40,6 +40,7 @@ class Projection:
         iterations : int
         """
         operators, rho, mu = self.problem.operators, self.problem.rho, self.problem.mu
+        viscosity = self.problem.viscosity
         divergence, gradient = self._divergence, self._gradient
         operators.divergence.mult(velocity, divergence)
         divergence.scale(1 / dt)
@@ -52,6 +53,9 @@ class Projection:
         velocity.axpy(-dt, gradient)
         phi.copy(pressure)
         pressure.scale(rho)
+        if viscosity is not None:
+            divergence.pointwiseMult(divergence, viscosity.cells)
+            mu = 1.0
         pressure.axpy(-theta * mu * dt, divergence)
         return phi, iterations
 

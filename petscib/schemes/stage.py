@@ -56,7 +56,8 @@ class StageScheme:
         state : State
         dt : float
         markers : ndarray, shape (M, 2), optional
-            Where given forces act; by default, at the step's start.
+            Where given forces act, and where the viscosity changes over the whole step; by default,
+            at the step's start.
 
         Returns
         -------
@@ -64,6 +65,8 @@ class StageScheme:
             Extrapolated from the last two steps.
         """
         problem = self.problem
+        markers = state.markers if markers is None else markers
+        problem.place_viscosity(markers)
         ahead = self.theta * dt if self.theta < 1 else 0.0
         self._transport = problem.transport(state, ahead)
         problem.fluid_rhs(state, self.theta * dt, self._rhs, self._transport)
@@ -75,7 +78,7 @@ class StageScheme:
         if problem.loaded:
             load = problem.membranes.load(time)
             self._load.zeroEntries()
-            problem.spread_load(load, state.markers if markers is None else markers, self._load)
+            problem.spread_load(load, markers, self._load)
             self._rhs.axpy(1.0, self._load)
         velocity = expected(history, "stage", time, state.velocity)
         return Stage(velocity, state.pressure.copy(), stress, load)
@@ -154,10 +157,12 @@ class StageScheme:
             rate = velocity.copy()
             rate.axpby(-1 / dt, 1 / dt, state.velocity)
             history["velocity_rate"] = rate
+        if problem.viscosity is not None:
+            rest["viscous"] = problem.viscosity.powers(stage.velocity)
         end = State(state.step + 1, state.time + dt, velocity, stage.pressure, markers, stretch,
                     history)
         return Step(dt, self.theta, state, end, stage.velocity, marker_velocity=motion,
-                    transport=self._transport, **rest)
+                    stress=stage.stress, transport=self._transport, **rest)
 
     def forget(self):
         """Drop what depends on earlier steps and is in no checkpoint."""

@@ -36,14 +36,13 @@ class Alone:
     def __init__(self, fluid):
         self.fluid = fluid
         self.ksp = None
-        if fluid.transform is None:
+        if not fluid.exact:
             self._unknowns, self._rhs = fluid.blocks(), fluid.blocks()
             self._solution, self._load = map(krylov.join, (self._unknowns, self._rhs))
             self._operator = krylov.Operator(self._solution, self)
             self.ksp = krylov.create(self._operator.matrix, fluid.prefix, fluid.defaults)
             self.ksp.getPC().setUseAmat(False)  # as in `elimination`
-            if not fluid.symmetric:
-                krylov.use_python(self.ksp, FluidPC(fluid))
+            krylov.use_python(self.ksp, FluidPC(fluid))
 
     def mult(self, x, y):
         """y = A x."""

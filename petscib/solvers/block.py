@@ -29,8 +29,9 @@ class Block:
 
     def __init__(self, fluid, membranes, kernel):
         self.fluid = fluid
-        self.model = MarkerModel(membranes.curves, fluid.grid, kernel, fluid.rho, fluid.mu,
-                                 fluid.share, fluid.prefix + "model_")
+        mu, short = fluid.near
+        self.model = MarkerModel(membranes.curves, fluid.grid, kernel, fluid.rho, mu,
+                                 fluid.share, fluid.prefix + "model_", short)
         rows = membranes.stress_count
         self._unknowns, self._rhs = ([*fluid.blocks(), krylov.vector_on_root(rows, fluid.grid.comm)]
                                      for _ in range(2))

@@ -13,6 +13,7 @@ from scipy.sparse import triu
 
 from ..events import phase
 from . import direct, krylov
+from .alone import FluidPC
 from .cholesky import Cholesky
 from .literal import LiteralPC, assembled
 from .model import StressMatrix
@@ -79,6 +80,8 @@ class Elimination:
         if literal and not fluid.symmetric:
             self._direct = LiteralPC(fluid)
             krylov.use_python(self.ksp, self._direct)
+        elif not literal:
+            krylov.use_python(self.ksp, FluidPC(fluid))
 
     def begin(self, rhs, stage):
         """Take right-hand side and first guess."""

@@ -28,7 +28,7 @@ def assembled(fluid, interval, operators):
         comm=comm,
     )
     whole = stiffness.ptap(operators.interpolation.matrix)
-    whole.axpy(1.0, fluid.matrix, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+    fluid.add_to(whole)
     stiffness.destroy()
     if fluid.symmetric:
         whole.setOption(PETSc.Mat.Option.SPD, True)

@@ -55,6 +55,16 @@ class Momentum:
         self.matrix.setOption(PETSc.Mat.Option.SPD, True)
         self._inner = None
 
+    @property
+    def exact(self):
+        """Whether transforms solve the system, and answer forces near the markers, exactly."""
+        return self.transform is not None
+
+    @property
+    def near(self):
+        """Viscosity at each membrane, and that for short waves if another (see `model`)."""
+        return self.mu, None
+
     def update(self, interval):
         """Make the system for theta dt = `interval`.  Returns whether it changed."""
         if interval == self.interval:
@@ -91,9 +101,17 @@ class Momentum:
 
     def mult(self, x, y):
         """y = A0 x, or (A0 + rho N) x with advection, for lists of blocks."""
-        self.matrix.mult(x[0], y[0])
+        self.multiply(x[0], y[0])
         if self.advection is not None:
             self.advection.add(x[0], y[0])
+
+    def multiply(self, x, y):
+        """y = A0 x for velocities."""
+        self.matrix.mult(x, y)
+
+    def add_to(self, matrix):
+        """Add A0 to an assembled matrix."""
+        matrix.axpy(1.0, self.matrix, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
 
     def solve(self, rhs, velocity, pressure=None):
         """Solve A0 w = rhs exactly, by transforms."""
@@ -104,16 +122,20 @@ class Momentum:
         return self.transform.window(faces)
 
     def precondition(self, rhs, answer):
-        """Set answer to about A0^{-1} rhs, lists of blocks: one multigrid cycle, or exactly."""
+        """Set answer to about A0^{-1} rhs, lists of blocks."""
+        self.precondition_velocity(rhs[0], answer[0])
+
+    def precondition_velocity(self, rhs, velocity):
+        """Set velocity to about A0^{-1} rhs: by one multigrid cycle, or exactly."""
         if self.transform is not None:
-            self.transform.solve(rhs[0], answer[0])
+            self.transform.solve(rhs, velocity)
             return
         if self._inner is None:
             self._inner = krylov.create(
                 self.matrix, self.prefix + "velocity_", VELOCITY_DEFAULTS)
         self._inner.setOperators(self.matrix)
-        answer[0].set(0.0)
-        krylov.solve(self._inner, rhs[0], answer[0], "velocity", krylov.advice(self._inner))
+        velocity.set(0.0)
+        krylov.solve(self._inner, rhs, velocity, "velocity", krylov.advice(self._inner))
 
     def view(self, viewer):
         """Show what preconditions."""

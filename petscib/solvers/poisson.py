@@ -70,13 +70,13 @@ class PoissonSolver:
                 part.destroy()
 
 
-def poisson_solver(operators, fft):
+def poisson_solver(operators, fft, prefix="poisson_", defaults=DEFAULTS):
     """The solver of a run: by transforms, loaded only then, or by an iteration.  Collective.
 
     A preconditioner that the user has chosen goes before the transforms.
     """
-    if not fft or PETSc.Options("poisson_").hasName("pc_type"):
-        return PoissonSolver(operators)
+    if not fft or PETSc.Options(prefix).hasName("pc_type"):
+        return PoissonSolver(operators, prefix, defaults)
     from .transforms.poisson import PoissonTransform
 
     return PoissonSolver(operators, transform=PoissonTransform(operators.grid))

@@ -90,16 +90,15 @@ class Stokes(Momentum):
         """Set answer to about K0^{-1} rhs, lists of blocks."""
         interval, scale, excess = self.interval, self.scale, self._excess
         (force, source), (velocity, pressure) = rhs, answer
-        if self.transform is not None:
+        if self.exact:
             source.copy(excess)
             excess.scale(1 / scale)
             self.transform.solve(force, excess, velocity, pressure)
             pressure.scale(1 / scale)
             return
-        super().precondition(rhs, answer)
+        self.precondition_velocity(force, velocity)
         if self._poisson is None:
-            self._poisson = PoissonSolver(
-                self.operators, self.prefix + "poisson_", POISSON_DEFAULTS)
+            self._poisson = self.poisson()
         gradient = self.operators.gradient
 
         # (theta dt) Laplacian phi = div u* less what the source asks for, with div = -G^T
@@ -111,12 +110,21 @@ class Stokes(Momentum):
         # u = u* - theta dt grad phi,  p = rho phi - mu (div u* less its source)
         gradient.mult(pressure, self._slope)
         velocity.axpy(-interval, self._slope)
-        pressure.axpby(-self.mu * interval / scale, self.rho / scale, excess)
+        mu = self.viscosity_of(excess)
+        pressure.axpby(-mu * interval / scale, self.rho / scale, excess)
+
+    def poisson(self):
+        """A new solver of the pressure's Poisson problem, for the preconditioner."""
+        return PoissonSolver(self.operators, self.prefix + "poisson_", POISSON_DEFAULTS)
+
+    def viscosity_of(self, cells):
+        """The factor that makes values at cells the viscosity times these; they may change."""
+        return self.mu
 
     def view(self, viewer):
         """Show what preconditions."""
         super().view(viewer)
-        if self._poisson is not None:
+        if self._poisson is not None and self._poisson.ksp is not None:
             self._poisson.ksp.view(viewer)
 
     def destroy(self):

@@ -104,7 +104,7 @@ class ImplicitSystem:
         iteration = self._choose_symmetric(membranes, kernel, corrected, interval)
         if fluid.advection is None:
             return iteration
-        if isinstance(iteration, (Force, Alone)) and fluid.transform is not None:
+        if isinstance(iteration, (Force, Alone)) and fluid.exact:
             return Skew(iteration, fluid)
         name = PETSc.Options(fluid.prefix).getString("ksp_type", "")
         if name in NEED_SYMMETRY:
@@ -120,7 +120,7 @@ class ImplicitSystem:
             return Alone(fluid)
         if not corrected:
             return Elimination(fluid, membranes, kernel, literal=True)
-        exact = fluid.transform is not None
+        exact = fluid.exact
         default = "cg" if exact or fluid.elimination_pays(interval) else "fgmres"
         eliminates = exact or fluid.symmetric
         if not eliminates or "cg" not in PETSc.Options(fluid.prefix).getString("ksp_type", default):

@@ -27,8 +27,8 @@ def main(arguments=None):
     from petsc4py import PETSc
 
     from .. import options
-    from ..errors import InputError, OutputError, SolveError
     from ..driver import Driver
+    from ..errors import InputError, OutputError, SolveError
 
     root = PETSc.COMM_WORLD.rank == 0
     try:
