@@ -5,8 +5,8 @@ Both interpolate with the paper's delta function, so that the corrections are al
 
 from ..schemes.registry import SCHEMES
 
-# The schemes of its tables.  (Literally, the coupled ones are factored whole in every step, for 2 s
-# on 128^2, and beyond what the factorisation can address on 256^2.)
+# The schemes of its tables.  (Literally, the coupled ones are factored whole in every step: be
+# takes 2 s for that on 128^2, and on 256^2 UMFPACK fails.)
 IN_TABLES = "ep", "mbe", "mcn"
 LITERAL, CORRECTED = "literal", "corrected"
 OPTIONS = {
