@@ -500,7 +500,7 @@ def test_scene_listing_shows_every_scene_with_options_to_copy():
 
 
 def test_help_shows_every_option_with_range_default_and_unit():
-    text = options.help_text()
+    text = options.help_text("all")
     assert max(map(len, text.splitlines())) <= 100
     flowing = " ".join(text.split())
     for option in options.TABLE.values():
@@ -519,6 +519,19 @@ def test_help_shows_every_option_with_range_default_and_unit():
         assert name in text
 
 
+def test_help_is_a_screen_and_has_topics():
+    screen = options.help_text()
+    assert len(screen.splitlines()) <= 40 and max(map(len, screen.splitlines())) <= 100
+    for option in options.TABLE.values():
+        assert f" -{option.name}" in screen
+    for topic in ("run", "fluid", "shape", "membrane", "time", "results"):
+        assert f"\n  {topic} " in screen and len(options.help_text(topic).splitlines()) < 60
+    assert "-sigma0" in options.help_text("sigma0")
+    assert "-momentum_model_*" in options.help_text("solvers")
+    with pytest.raises(InputError, match="-help fluids: no such topic; .*nearest: fluid"):
+        options.help_text("fluids")
+
+
 def test_markdown_table_has_a_row_for_each_option():
     rows = [line for line in options.markdown_table().splitlines() if line.startswith("| `-")]
     assert [row.split("`")[1][1:] for row in rows] == list(options.TABLE)
@@ -527,7 +540,7 @@ def test_markdown_table_has_a_row_for_each_option():
 
 @pytest.mark.parametrize("database, start", [
     ({"help": None}, "petscib"), ({"-help": None, "scheme": "wrong"}, "petscib"),
-    ({"HELP": "intro"}, "petscib"), ({"scene": "list"}, "Scenes"), ({"scene": "LIST"}, "Scenes")])
+    ({"HELP": "time"}, "Scheme"), ({"scene": "list"}, "Scenes"), ({"scene": "LIST"}, "Scenes")])
 def test_information_is_recognised(database, start):
     assert options.information(database).startswith(start)
 
