@@ -62,7 +62,11 @@ class Simulation:
         uncaught.end_the_job(self.comm)
         installation.check()
         self._driver, self._entered, self._calls, self._table = None, [], [], {}
-        settings, scene = self._read(arguments or [], options)
+        try:
+            settings, scene = self._read(arguments or [], options)
+        except BaseException:
+            self._withdraw()
+            raise
         self.settings = settings
         named = {**scene.measures, **(measures or {})}
         given = {name: lambda measure=measure: measure(self) for name, measure in named.items()}
@@ -79,7 +83,6 @@ class Simulation:
     def _read(self, arguments, keywords):
         """Settings and scene.  Collective."""
         from . import options, restart, scenes, sources, vesicle_files
-        from .settings import NOWHERE
 
         on_root(self.comm, lambda: sources.check(arguments))
         database = _texts(keywords)
@@ -93,8 +96,8 @@ class Simulation:
         self._enter({name: text for name, text in database.items() if options.is_petsc(name)})
         database = restart.merge(database, self.comm)
         if not writes:
-            database = {"monitor": "none", "plot": "false", **database, "output": NOWHERE}
-        settings = options.read(vesicle_files.expand(database, self.comm))
+            database = {"monitor": "none", "plot": "false", **database}
+        settings = options.read(vesicle_files.expand(database, self.comm), writes)
         return settings, scenes.find(settings.scene)
 
     def _enter(self, texts):
@@ -239,11 +242,19 @@ class Simulation:
 
     @property
     def tension(self):
-        """Tension sigma between markers k - 1 and k, as a list like `membranes`; rank 0."""
-        membranes = self._driver.problem.membranes
-        law = membranes and membranes.law("tension")
-        stretch = self._driver.state.stretch
-        return membranes.curves.edge_parts(law.tension(stretch)) if law else []
+        """Tension sigma between markers k - 1 and k, as a list like `membranes`; rank 0.
+
+        That of the step's stage, once there was one.
+        """
+        problem = self._driver.problem
+        if problem.curves is None:
+            return []
+        return problem.curves.edge_parts(problem.tension(self._driver.state))
+
+    @property
+    def last_row(self):
+        """The newest row of diagnostics, a dict by column; None in place of what does not apply."""
+        return dict(self._driver.results.last_row or {})
 
     @property
     def diagnostics(self):

@@ -17,7 +17,7 @@ from petscib.errors import InputError
 from petscib.fluid.flows import FLOWS
 from petscib.own import Function, Points, is_own
 from petscib.schemes.registry import SCHEMES
-from petscib.settings import Settings, check, check_domain, resolve, text_of
+from petscib.settings import NOWHERE, Settings, check, check_domain, resolve, text_of
 from petscib.vesicles import OWN, split
 
 # Magnitudes that the sums and products of a run can hold, in whatever units.
@@ -401,7 +401,7 @@ def is_petsc(name):
 # --- reading
 
 
-def read(database):
+def read(database, writes=True):
     """The settings asked for.  What `vesicle_files.expand` has to say is in there already.
 
     Parameters
@@ -410,6 +410,8 @@ def read(database):
         PETSc's option database: name without the dash, in any case, to text; None or '' for an
         option without a value. The same on all ranks. Functions and arrays of a script stand in
         the place of some texts.
+    writes : bool
+        Whether the run leaves files at all.
 
     Returns
     -------
@@ -431,6 +433,8 @@ def read(database):
     values = {option.name: option.default for option in _ROWS}
     values.update(_scene_values(scene), scene=scene.name)
     values.update(given)
+    if not writes:
+        values["output"] = NOWHERE
     check_domain(values["domain"])
     resolve(values, set(given), scene.cfl_of(values["scheme"]))
     settings = Settings(values, given)

@@ -58,6 +58,8 @@ class Grid:
             setUp=False,
         )
         self.dm.setFromOptions()
+        # Its own options may be those of another simulation in the same script.
+        self.dm.setGlobalSizes((self.m, self.n))
         self.dm.setUp()
         self.velocity_dm = self.dm.createCompatibleDMStag((0, 1, 0))
         self.pressure_dm = self.dm.createCompatibleDMStag((0, 0, 1))
