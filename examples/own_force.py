@@ -29,9 +29,11 @@ class Struts:
             [2 * pairs[:, end, None] + np.arange(2) for end in (0, 1)], axis=-1).reshape(-1, 2)
 
     def stress(self, markers, stretch, time=0.0):
+        """Roots of twice the energies: m."""
         return self._root * (markers[self._pairs[:, 1]] - markers[self._pairs[:, 0]]).ravel()
 
     def weights(self, before, after):
+        """The entries of C, with m(after) - m(before) = C (after - before)."""
         return self._root[:, None] * (-1.0, 1.0)
 
 

@@ -1,6 +1,6 @@
 """A vesicle in shear flow, from a script: run it, follow it, draw it.
 
-    python examples/shear.py            or    mpiexec -n 2 python examples/shear.py
+``python examples/shear.py``, or ``mpiexec -n 2 python examples/shear.py``.
 """
 
 import sys

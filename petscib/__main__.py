@@ -89,7 +89,7 @@ def _simulate(database, root):
         summary = simulation.run()
         if root:
             print("\n".join(closing_lines(summary)), flush=True)
-            if interrupt.caught:
+            if simulation.signal:
                 print("stopped early; to go on: -restart latest -output "
                       f"{simulation.settings.output}")
         return exit_status(simulation.signal)
