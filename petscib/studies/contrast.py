@@ -42,7 +42,7 @@ def main(arguments=None):
     if campaign.quick:
         study(campaign, curve=(24, 32), contrasts={SHAPES[0]: (0.2, 1.0, 5.0)}, free=(32, 48),
               free_contrasts=(1.0, 3.0), tumbling=(48,), critical=(32, 48), close=0.2,
-              areas=(0.7, 0.9), mapped=(1.0, 16.0), map_cells=32, strain=8.0, time_limit=120)
+              areas=(0.7, 0.9), mapped=(1.0, 16.0), map_cells=48, strain=8.0, time_limit=120)
     else:
         study(campaign, curve=(32, 48, 64, 96), contrasts=CONTRASTS, free=(96, 144, 192),
               free_contrasts=tuple(FREE), tumbling=(64, 96, 128), critical=(48, 72), close=CLOSE,
