@@ -11,6 +11,7 @@ from .membranes.laws import LAWS
 
 SOLVERS = ("momentum", "poisson", "coupled", "picard")
 SHAPES = ("area", "perimeter", "area_error", "perimeter_error")
+FORCES = tuple(name for law in LAWS.values() for name in getattr(law, "measures", ()))
 PLACES = ("inclination", "turns", "half_turn", "treading_frequency", "centroid_x", "centroid_y")
 
 
@@ -22,7 +23,7 @@ def columns(vesicles):
         "kinetic", *(f"{name}_energy" for name in LAWS), "energy",
         *(f"ledger_{name}" for name in Ledger.names()), "ledger_residual",
         "max_divergence", "max_speed", "cfl", "effective_viscosity", "min_gap",
-        *numbered(PLACES, vesicles),
+        *numbered(PLACES, vesicles), *numbered(FORCES, vesicles),
         *(f"{name}_iterations" for name in SOLVERS),
         "wall_seconds",
     )
@@ -143,4 +144,6 @@ class Diagnostics:
                 drift = np.where(self.problem.grid.periodic, drift, 0.0)
             motion = step.marker_velocity - curves.spread(drift)
             measured["treading_frequency"] = geometry.treading_frequency(markers, motion, curves)
+            if step.stress is not None:
+                measured.update(self.problem.membranes.measures(step.stress))
         return measured

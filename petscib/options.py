@@ -278,7 +278,7 @@ _ROWS = (
     Option("ts_max_steps", Whole(), None, TIME, "most steps", automatic="no limit"),
     Option("ts_rtol", FRACTION, None, TIME, "choose the time step, from ts_dt on, by the error "
            "that it makes in the markers' positions, relative to the vesicle's size; at most 64 "
-           "ts_dt", automatic="none: fixed time steps"),
+           "ts_dt, and as explicit advection allows", automatic="none: fixed time steps"),
     Option("ts_adapt", Flag(), False, TIME, "retry a failed step with half the time step, halve "
            "it before explicit advection makes one fail, and grow it back later"),
 

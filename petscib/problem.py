@@ -68,6 +68,8 @@ class Step:
         Pressure increment phi of a projection scheme.
     marker_velocity : ndarray, shape (M, 2)
         U that carried the markers over the step.
+    stress : ndarray, shape (R,)
+        The membranes' stresses at the stage; None without forces.
     stress_rate : ndarray, shape (R,)
         Rates C U of the membranes' stresses at the stage; None without forces.
     ledger : dict
@@ -91,6 +93,7 @@ class Step:
     stage: PETSc.Vec
     projection: PETSc.Vec = None
     marker_velocity: np.ndarray = None
+    stress: np.ndarray = None
     stress_rate: np.ndarray = None
     ledger: dict = field(default_factory=dict)
     transport: PETSc.Vec = None

@@ -104,8 +104,9 @@ def typical_speed(values):
     It is the top speed of the background flow in the box, or that of a vesicle driven by its
     bending if that is more. With L half the shorter side of the box, the latter is
     100 c_b / (mu L^2), as for a vesicle of the half width L / 10, or the smaller
-    sqrt(1000 c_b / (rho L^3)) where inertia holds it back. Where nothing moves, it is the speed
-    mu / (rho L) at which momentum spreads.
+    sqrt(1000 c_b / (rho L^3)) where inertia holds it back. Waves on a line stretched across the
+    box run at sqrt(pi sigma / (rho length)), sigma the tension, without viscosity. Where nothing
+    moves, it is the speed mu / (rho L) at which momentum spreads.
 
     Parameters
     ----------
@@ -127,7 +128,16 @@ def typical_speed(values):
     with np.errstate(all="ignore"):
         flow = np.abs(FLOWS[values["flow"]](x, y, values["shear_rate"], values["domain"])).max()
         membrane = min(100 * bending / (mu * size**2), np.sqrt(1000 * bending / (rho * size**3)))
-        return float(max(flow, membrane) or mu / (rho * size))
+        length = b - a if "x" in values["periodic"] else d - c
+        waves = np.sqrt(np.pi * _tension_of_lines(values) / (rho * length))
+        return float(max(flow, membrane, waves) or mu / (rho * size))
+
+
+def _tension_of_lines(values):
+    """The largest tension at the start in a line across the box; 0 without any."""
+    vesicles = [of(values, k) for k in range(values["vesicles"])]
+    return max([0.0, *(one.sigma0 * (1 - one.rest_length) for one in vesicles
+                       if one.shape == "line" and one.rest_length is not None)])
 
 
 def resolve(values, given, cfl):

@@ -6,7 +6,7 @@ import signal
 import sys
 import traceback
 from contextlib import suppress
-from time import perf_counter, sleep
+from time import perf_counter, process_time, sleep
 
 from petsc4py import PETSc
 
@@ -64,6 +64,7 @@ class Simulation:
         self.missed = None, 1  # local error of the last step, and its order
         self.saved_in = None
         self.began = self.saved_at = perf_counter()
+        self.cpu_began = process_time()
         self.longest_attempt = 0.0
         self.scheme = self.results = self.shown = None
         self.first_default = krylov.entered_defaults()
@@ -234,9 +235,9 @@ class Simulation:
             self._save("final.h5")
         results.close()
         ended = signal.Signals(self.signal).name if self.signal else "finished"
-        seconds = perf_counter() - self.began
+        seconds = perf_counter() - self.began, process_time() - self.cpu_began
         with stage("output"), phase("output"):
-            summary = results.summarise(self.state.step - first, seconds, events.seconds, ended)
+            summary = results.summarise(self.state.step - first, *seconds, events.seconds, ended)
             if settings.plot and not self.signal:
                 results.draw()
         return summary

@@ -2,12 +2,13 @@
 
 With -ts_adapt it is halved when a step fails, and grown back.  With -ts_rtol it follows the local
 error of the markers' positions: -ts_dt is the first one, steps of too large an error are repeated
-with smaller ones, and where the error leaves room, they grow.  Whatever depends on the time step
+with smaller ones, and where the error leaves room, they grow.  With either, it also keeps to the
+limit of stability of explicit advection.  Whatever depends on the time step
 alone is made anew when it changes, for a quarter to half of the cost of a step (64^2, with -fft and
 with GAMG); factors of two, and some patience, keep that below 3 percent of a run.
 """
 
-from math import ceil, log2
+from math import ceil, inf, log2
 
 SMALLEST = 1e-3  # of the largest step: below it, halving a failed one once more would not help
 GROW_AFTER = 5  # good steps in a row after a failure
@@ -46,6 +47,7 @@ class StepSize:
         if dt is not None and (adapt or rtol is not None):
             self.dt = min(dt, self.largest)
         self.good_steps = good_steps
+        self.longest = inf
 
     def reject(self, dt):
         """Take note that a step of size `dt` failed.  Returns whether a smaller one may follow."""
@@ -87,8 +89,10 @@ class StepSize:
         return True
 
     def limit(self, longest):
-        """Heed a time step beyond which the next step would fail."""
-        while self.adapt and self.dt > longest and self.dt / 2 >= self.smallest:
+        """Heed a time step beyond which the next step would fail, unless steps are fixed."""
+        self.longest = longest
+        varies = self.adapt or self.rtol is not None
+        while varies and self.dt > longest and self.dt / 2 >= self.smallest:
             self.dt, self.good_steps = self.dt / 2, 0
 
     def accept(self, error=None, order=1):
@@ -99,5 +103,6 @@ class StepSize:
         else:
             grow = self.good_steps >= SETTLED and (
                 error * 2 ** (order + 1) <= SHARE * self.rtol)
-        if grow and self.dt < self.largest:
-            self.dt, self.good_steps = min(2 * self.dt, self.largest), 0
+        larger = min(2 * self.dt, self.largest)
+        if grow and self.dt < larger <= self.longest:
+            self.dt, self.good_steps = larger, 0

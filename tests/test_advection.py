@@ -444,9 +444,17 @@ def test_a_limit_halves_the_step_of_adaptive_runs_alone():
     size = StepSize(1.0, adapt=True)
     size.limit(0.3)
     assert size.dt == 0.25
-    for _ in range(5):
+    for _ in range(6):
         size.accept()
+    assert size.dt == 0.25
+    size.limit(0.6)
+    size.accept()
     assert size.dt == 0.5
+    by_error = StepSize(1.0, rtol=0.1)
+    by_error.limit(0.3)
+    for _ in range(6):
+        by_error.accept(error=1e-9)
+    assert by_error.dt == 0.25
     size.limit(1e-9)
     assert size.dt >= 1e-3
     fixed = StepSize(1.0)
@@ -466,6 +474,16 @@ def test_adaptive_runs_keep_to_the_limit_and_others_are_warned(tmp_path, capfd, 
         assert warned == (adapt == "no")
     beyond = table["dt"][2:] * table["max_speed"][1:-1] * 24 > LARGEST_CFL * (1 + 1e-12)
     assert beyond.any() == (adapt == "no")
+
+
+def test_a_tolerance_keeps_to_the_limit(tmp_path):
+    """A vesicle at rest in its flow asks for longer steps than explicit advection stands."""
+    words = dict(flow="shear", **VESICLE, stag_grid_x=24, rho=400, scheme="mbe", fft="yes",
+                 advection="explicit", ts_dt=0.01, ts_rtol=0.3, ts_max_time=1)
+    run(tmp_path, **words)
+    table = rows(tmp_path)
+    ratio = table["dt"][2:] * table["max_speed"][1:-1] * 12 / LARGEST_CFL
+    assert 0.5 < ratio.max() <= 1 + 1e-12
 
 
 @pytest.mark.parametrize("scheme, word", [("mbe", "momentum"), ("be", "coupled")])

@@ -12,6 +12,7 @@ from petscib import options
 from petscib.membranes import laws, shapes
 from petscib.membranes.curves import Curves
 from petscib.membranes.membranes import Membranes
+from petscib.schemes import registry
 from petscib.simulation import Simulation
 
 GRID = SimpleNamespace(domain=(-1.0, 1.0, -1.0, 1.0), periodic=(True, False), dx=0.05, dy=0.05)
@@ -261,6 +262,34 @@ def test_stiff_tethers_hold_a_plate_at_any_step(tmp_path):
     assert frame["vesicle_0/edges"].tolist() == [[k, k + 1] for k in range(count - 1)]
 
 
+@pytest.mark.parallel([1, 2])
+@pytest.mark.parametrize("scheme", ["ep", *SCHEMES])
+def test_tethers_hold_against_what_the_fluid_lacks(tmp_path, scheme):
+    """A plate in a periodic box: its drag and lift are body force less change of momentum."""
+    words = {**GCN, "shape": "plate", "axes": "0.1,0.25", "tether": "1e3", "ts_dt": "0.02",
+             "angle": "30", "bending": "0", "sigma0": "0", "flow": "rest", "periodic": "xy",
+             "body_force": "3,1", "scheme": scheme, "rho": "10", "advection": "explicit"}
+    simulation = prepare(tmp_path, **words, ts_max_steps="4")
+    momentum = []
+
+    def note():
+        momentum.append([10 * simulation.problem.grid.cell_area * comm.allreduce(part.sum())
+                         for part in simulation.problem.grid.velocity_blocks(
+                             simulation.state.velocity)])
+
+    note()
+    simulation.run(after_step=note)
+    simulation.destroy()
+    if comm.rank == 0:
+        table = rows(tmp_path)
+        held = np.stack((table["drag"][1:], table["lift"][1:]), axis=1)
+        given = 4.0 * np.array((3.0, 1.0)) - np.diff(momentum, axis=0) / 0.02
+        # The damped start of cn and gcn shows the force of the second of its half steps alone.
+        first = registry.SCHEMES[scheme].startup
+        np.testing.assert_allclose(held[first:], given[first:], rtol=0, atol=1e-7)
+        assert abs(held[-1]).min() > 0.1
+
+
 def test_tethers_hold_the_start_after_a_restart(tmp_path):
     words = {**GCN, "axes": "0.2,0.3", "tether": "30", "stag_grid_x": "24"}
     run(tmp_path / "whole", **words, ts_max_steps="6")
@@ -294,26 +323,27 @@ def test_restart_and_ranks_with_contact(tmp_path):
 # ---------------------------------------------------------------- a line across a periodic box
 
 # Of truth.json: mu, sigma, rho, decay rate, frequency.
-FLAT = [(0.1, 1.0, 1.0, -3.335, 8.583), (0.5, 2.0, 10.0, -1.606, 3.754)]
+FLAT = [(0.1, 1.0, 1.0, -3.335, 8.583), (0.1, 5.0, 1.0, -4.485, 21.305),
+        (0.5, 2.0, 10.0, -1.606, 3.754)]
 
 
 @pytest.mark.parametrize("mu, sigma, rho, decay, frequency", FLAT)
 def test_a_flat_membrane_swings_as_linear_theory_says(tmp_path, mu, sigma, rho, decay, frequency):
-    """From the exact mode, within 1 percent in both rates on 64^2."""
-    steps = 96
+    """From the exact mode, within 1 percent in both rates on 64 cells across, as the scene is."""
     end = 1.2 * 2 * np.pi / frequency
     simulation = Simulation(options.read(dict(
         scene="ripple", stag_grid_x="64", mu=str(mu), rho=str(rho), sigma0=str(sigma),
-        amplitude="1e-3", startup="0", fft="yes", picard_rtol="1e-6", ts_dt=repr(end / steps),
+        amplitude="1e-3", startup="0", fft="yes", picard_rtol="1e-6",
         ts_max_time=repr(end), output=str(tmp_path), monitor="none", plot="no")))
     k, rate = 2 * np.pi, decay + 1j * frequency
     alpha = np.sqrt(k**2 + rho * rate / mu)
     assert rate**2 == pytest.approx(-sigma * k**3 * (1 - k / alpha) / (2 * rho), rel=1e-3)
     grid, strength = simulation.problem.grid, rate * 1e-3 / (1 - k / alpha)
     x, y = grid.u_points()[0], grid.v_points()[1]
-    y = np.append(y, 0.5)[:, None]
+    low, high = grid.domain[2:]
+    y = np.append(y, high)[:, None]
     # The stream function of the mode, and of its images across the box, at the corners.
-    images = [abs(y - n) for n in range(-3, 4)]
+    images = [abs(y - n * (high - low)) for n in range(-2, 3)]
     wave = sum(np.exp(-k * d) - k / alpha * np.exp(-alpha * d) for d in images)
     psi = (strength * wave).real * np.cos(k * np.append(x, 1.0)) / k
     u, v = np.diff(psi, axis=0)[:, :-1] / grid.dy, -np.diff(psi, axis=1)[:-1] / grid.dx
@@ -337,6 +367,6 @@ def test_a_flat_membrane_swings_as_linear_theory_says(tmp_path, mu, sigma, rho, 
         return np.real((a + 1j * b) * np.exp((real + 1j * imaginary) * times)) - heights
 
     found = least_squares(misfit, [1, 0, decay, frequency])
-    assert np.abs(found.fun).max() < 1e-3
+    assert np.abs(found.fun).max() < 2e-3  # what bspline32 makes of markers h/2 apart
     assert found.x[2] == pytest.approx(decay, rel=0.01)
     assert found.x[3] == pytest.approx(frequency, rel=0.01)

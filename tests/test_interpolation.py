@@ -7,10 +7,15 @@ from mpi4py import MPI
 from petscib.coupling.interpolation import Interpolation
 from petscib.coupling.kernels import KERNELS
 from petscib.fluid.grid import Grid
+from petscib.fluid.operators import Operators
+from petscib.fluid.sides import Sides
 from petscib.membranes import shapes
 from petscib.membranes.curves import Curves
 from petscib.membranes.laws import Tension
 from petscib.membranes.membranes import Membranes
+from petscib.solvers.force import Near
+from petscib.solvers.momentum import Momentum
+from petscib.solvers.transforms.helmholtz import HelmholtzTransform
 
 DOMAIN = (-1.0, 2.0, 0.5, 2.5)
 ROUND_OFF = 1e-13  # relative
@@ -73,6 +78,22 @@ def test_markers_cross_periodic_sides(name, periodic, shift):
     spread = dense.velocity(case.grid, case.spread(case.force))
     expected = 1 / (case.grid.dx * case.grid.dy) * table.T @ case.force.ravel()
     assert np.allclose(spread, expected, rtol=0, atol=ROUND_OFF * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("periodic", [(False, False), (True, False)])
+def test_by_way_of_the_faces_near_the_markers_it_is_the_same(periodic):
+    """Also where the markers are across a periodic side."""
+    case = Case(periodic=periodic, shift=(0.9 * periodic[0], 0.0))
+    expected = case.interpolate(case.velocity)
+    operators = Operators(case.grid, Sides(case.grid))
+    fluid = Momentum(operators, 1.0, 1.0, HelmholtzTransform(case.grid))
+    fluid.update(0.1)
+    near = Near(fluid, case.interpolation.stencil)
+    case.interpolation.use(near, near.interpolation(case.interpolation.stencil))
+    found = case.interpolate(case.velocity)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=ROUND_OFF)
+    near.destroy()
+    fluid.destroy()
 
 
 def test_spreading_adds():

@@ -322,6 +322,9 @@ def test_values_that_follow_from_others():
     assert options.read({"stag_grid_x": "128", "stag_grid_y": "256"}).ts_dt == factor * 2 / 256
     assert options.read({"ts_dt": "0.5", "stag_grid_x": "128"}).ts_dt == 0.5
     assert options.read({"scheme": "mbe"}).ts_dt == scenes.CFL_OF_OTHERS * 2 / 64
+    waves = math.sqrt(math.pi * 5 * (1 - 0.2) / (2 * 1))
+    assert options.read({"scene": "ripple", "sigma0": "5", "rest_length": "0.2", "rho": "2"}
+                        ).ts_dt == pytest.approx(1 / 64 / waves)
     for scheme in options.SCHEMES:
         assert options.read({"scheme": scheme}).startup == (scheme in ("cn", "gcn"))
     assert options.read({"scheme": "gcn", "startup": "0"}).startup == 0

@@ -123,6 +123,7 @@ def check_files(folder, ranks):
     assert summary["last_row"]["area"] == pytest.approx(table["area"][-1])
     seconds = summary["phase_seconds"]
     assert summary["total_seconds"] > 0 and all(part >= 0 for part in seconds.values())
+    assert summary["cpu_seconds"] > 0
     outlines = tables.read_outlines(folder / "outlines.csv")
     assert len(outlines) >= 2
 

@@ -2,22 +2,29 @@
 import csv
 import importlib
 import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from petscib import options
 from petscib.membranes import shapes
 from petscib.output import tables
+from petscib.settings import text_of
 from petscib.studies import (
     compare,
     convergence,
     cputime,
+    defaults,
     gallery,
     maxstep,
+    methods,
     report,
     runs,
     stability,
     tanktreading,
+    tolerance,
+    truth,
     vesicles,
     workprecision,
 )
@@ -124,7 +131,21 @@ def test_velocities_are_compared_at_the_coarse_faces(component):
 def test_rates():
     assert convergence.rates((64, 128, 256), [8e-3, 2e-3, None]) == [
         None, pytest.approx(2.0), None]
-    assert convergence.paper("mbe", "perimeter", (32, 256)) == [None, 1.154e-3]
+    # Of round-off there is none.
+    assert convergence.rates((64, 128), [3e-16, 1e-16]) == [None, None]
+    assert convergence.paper("mbe", methods.LITERAL, "perimeter", (32, 256)) == [None, 1.154e-3]
+    assert convergence.paper("mbe", methods.CORRECTED, "perimeter", (32, 256)) == [None, None]
+
+
+def test_literal_is_the_papers_method_and_ep_has_no_other(tmp_path):
+    series = methods.series(["ep", "mbe", "gcn"])
+    assert series == [("ep", methods.LITERAL), ("mbe", methods.LITERAL),
+                      ("mbe", methods.CORRECTED), ("gcn", methods.CORRECTED)]
+    for scheme, method in series:
+        given = dict(methods.OPTIONS[method], scheme=scheme, output=str(tmp_path))
+        found = options.read({name: text_of(value) for name, value in given.items()})
+        assert found.delta == "yang"
+        assert found.kink_correction is found.conserve_area is (method == methods.CORRECTED)
 
 
 @pytest.mark.parametrize("limit, relation, found", [
@@ -145,7 +166,8 @@ def test_the_search_for_the_largest_step(limit, relation, found):
 
 def test_the_pareto_front_and_the_cheapest_setting():
     records = [dict(seconds=seconds, X=error) for seconds, error in (
-        (1, 1e-2), (2, 3e-2), (3, 1e-3), (4, 1e-3), (5, 1e-5))] + [dict(status="failed")]
+        (1, 1e-2), (2, 3e-2), (3, 1e-3), (4, 1e-3), (5, 1e-5))]
+    records += [dict(status="failed"), dict(seconds=0.5, area=0.0)]
     assert [one["seconds"] for one in workprecision.front(records, "X")] == [1, 3, 5]
     assert workprecision.cheapest(records, "X", 1e-3)["seconds"] == 3
     assert workprecision.cheapest(records, "X", 1e-6) is None
@@ -172,22 +194,21 @@ def test_verdicts_on_stability(tmp_path, status, energies, area_error, verdict):
         for step, energy in enumerate(energies):
             file.write((step, energy, area_error, 0.0))
     outcome = runs.Outcome(runs.Run({}), str(tmp_path), status)
-    record = stability.judge(stability.Case("group", "name", {}), "mbe", outcome)
+    judge, case = stability.judge, stability.Case("group", "name", {})
+    record = judge(case, "mbe", methods.LITERAL, outcome)
     assert record["verdict"] == verdict
     assert record["energy_rise"] == pytest.approx(0.1 if verdict == stability.RISES else 0.0)
-    in_shear = stability.judge(stability.Case("group", "name", {"flow": "shear"}), "mbe", outcome)
+    moved = stability.Case("group", "name", {"flow": "shear"})
+    in_shear = judge(moved, "mbe", methods.LITERAL, outcome)
     assert "monotone" not in in_shear and in_shear["verdict"] != stability.RISES
 
 
 def test_stability_cases_can_all_be_asked_for(tmp_path):
-    from petscib import options
-    from petscib.settings import text_of
-
     names = set()
     for case in stability.cases():
         names.add((case.group, case.name))
-        for scheme in stability.SCHEMES:
-            declared = {**stability.declare(case, scheme), "output": str(tmp_path)}
+        for scheme, method in methods.series(stability.SCHEMES):
+            declared = {**stability.declare(case, scheme, method), "output": str(tmp_path)}
             options.read({name: text_of(value) for name, value in declared.items()})
     assert len(names) == len(stability.cases())
 
@@ -277,7 +298,7 @@ def test_a_crash_among_results_is_none_of_them(campaign, launcher, tmp_path, cap
     assert_results(one)
     crash = "crashed | mpiexec has detected an attempt to run as root. (exit status 213)"
     assert crash in open(one.path("stability.md")).read()
-    assert "gbe: crashed, 0 steps, 0.0 s: mpiexec has detected" in capsys.readouterr().err
+    assert "gbe corrected: crashed, 0 steps, 0.0 s: mpiexec has detected" in capsys.readouterr().err
 
     one = campaign("maxstep")
     first, *others = maxstep.study(one, (16,), (1e7,), explicit_steps=2, octave=1, time_limit=60,
@@ -300,8 +321,10 @@ def test_convergence(campaign, monkeypatch):
     one = campaign("convergence")
     rows = convergence.study(one, (16,), 24, schemes=("mbe",))
     assert_results(one)
-    errors = {quantity: error for _, quantity, _, error, _, _ in rows}
-    assert set(errors) == set(convergence.QUANTITIES) and 1e-5 < errors["X"] < 0.05
+    errors = {(method, quantity): error for _, method, quantity, _, error, _, _ in rows}
+    assert set(errors) == {(m, q) for m in methods.OPTIONS for q in convergence.QUANTITIES}
+    assert all(1e-5 < errors[method, "X"] < 0.05 for method in methods.OPTIONS)
+    assert errors[methods.CORRECTED, "area"] < 1e-14 < 1e-6 < errors[methods.LITERAL, "area"]
     forbid_runs(monkeypatch)
     assert convergence.study(campaign("convergence"), (16,), 24, schemes=("mbe",)) == rows
 
@@ -313,6 +336,7 @@ def test_maxstep(campaign, monkeypatch):
                             schemes=("ep", "gbe"), smallest=4.0)
     assert_results(one)
     explicit, geometric, at_end = records
+    assert (explicit["method"], geometric["method"]) == (methods.LITERAL, methods.CORRECTED)
     assert explicit["dt"] < 1e-2 < geometric["dt"] <= at_end["dt"]
 
 
@@ -320,7 +344,8 @@ def test_cputime(campaign):
     one = campaign("cputime")
     records = cputime.study(one, (16,), 3, 2, 60, schemes=("ep", "mbe"))
     assert_results(one)
-    explicit, modified = records
+    explicit, modified, corrected = records
+    assert corrected["method"] == methods.CORRECTED and corrected["step_seconds"] > 0
     assert explicit["steps"] == 3 and explicit["extrapolated"] == 1
     # Two steps of 1/8 stand for eight.
     assert modified["total_seconds"] == pytest.approx(
@@ -331,19 +356,35 @@ def test_tanktreading(campaign, monkeypatch):
     monkeypatch.setattr(tanktreading, "NEXT_STRAIN", 0.5)
     monkeypatch.setattr(tanktreading, "WINDOW", 0.25)
     one = campaign("tanktreading")
-    record, = tanktreading.study(one, (24,), (0.8,), (2.0,), 60, last_strain=1.0, first_strain=0.5)
+    records = tanktreading.study(one, (24,), (0.8,), (2.0,), 60, last_strain=1.0, first_strain=0.5)
     assert_results(one)
-    assert record["strain"] == pytest.approx(1.0) and not record["steady"]
-    assert 0.2 < record["inclination_over_pi"] < 0.5 and record["centroid_offset"] < 1e-6
+    assert [record["method"] for record in records] == list(methods.OPTIONS)
+    for record in records:
+        assert record["strain"] == pytest.approx(1.0) and not record["steady"]
+        assert 0.2 < record["inclination_over_pi"] < 0.5 and record["centroid_offset"] < 1e-6
+    assert records[1]["area_error"] < 1e-14 < 1e-4 < records[0]["area_error"]
     assert "| 0.8 | - |" in open(one.path("tanktreading.md")).read()
 
 
-def test_workprecision(campaign):
+def test_workprecision(campaign, monkeypatch):
+    cases = {name: replace(case, options={**case.options, "ts_max_time": 0.125})
+             for name, case in workprecision.CASES.items()}
+    monkeypatch.setattr(workprecision, "CASES", cases)
     one = campaign("workprecision")
-    records = workprecision.study(one, (16,), 24, (0.5,), (), 60, ("be",), (1e5,))
-    for case in workprecision.CASES:
-        assert_results(one, f"workprecision-{case}.png")
-    assert len(records) == 2 and all(record["X_on_front"] for record in records)
+    records = workprecision.study(one, (16, 24), 32, (0.5,), (), (1e-2,), 60, ("gcn",), (1e5,),
+                                  most_work=600)
+    assert_results(one)
+    found = {(record["case"], record["rtol"]): record for record in records}
+    # The finer of the fixed steps are more work than is allowed.
+    assert [record["cells"] for record in records] == [16, 16, 24] * 2
+    assert "Left out for the work they would be: 24^2 with dt = h/2, relax" in open(
+        one.path("workprecision.md")).read()
+    relaxing = [record for record in records if record["case"] == "relaxation"]
+    assert 1e-4 < min(record["X"] for record in relaxing) < 0.02
+    assert sum(record.get("X_on_front", 0) for record in relaxing) > 0
+    # An upright vesicle has not turned by then.
+    assert found["treading", None]["inclination"] > 1 and "X" not in found["treading", None]
+    assert all(record["seconds"] > 0 for record in records)
 
 
 def test_stability(campaign):
@@ -360,6 +401,118 @@ def test_stability(campaign):
     assert good["ledger_residual"] < 1e-6 and good["steps"] == 3
     lost = [row for row in table(one) if row["verdict"] == stability.LOST]
     assert all(row["reason"] for row in lost) and os.path.exists(one.path("runs.csv"))
+
+
+def test_the_order_of_a_quantity():
+    assert truth.triples((32, 48, 64, 96, 128)) == [(32, 64, 128)]
+    assert truth.order(1.16, 1.04, 1.01) == pytest.approx(2.0)
+    assert truth.order(1.16, 1.04, 1.05) is None is truth.order(1.16, 1.14, 1.0)
+    assert truth.fitted_order({32: 0.16, 64: -0.04, 128: 0.01}) == pytest.approx(2.0)
+    assert truth.fitted_order({32: 0.16}) is None
+    among = [dict(cells=cells, value=1 + error, error=error)
+             for cells, error in ((32, 0.16), (64, 0.04), (128, 0.01))]
+    assert truth._orders(among) == ["2", "2"] and truth._orders(among[:2]) == ["-", "2"]
+
+
+def test_sizes_of_a_dumbbell():
+    angle = np.linspace(0, 2 * np.pi, 200, endpoint=False) + 0.01
+    radius = 1 + 0.5 * np.cos(2 * angle)
+    markers = np.stack((radius * np.sin(angle), radius * np.cos(angle)), axis=1)
+    found = truth.sizes(markers)
+    assert found["half_height"] == pytest.approx(1.5) and found["waist"] == pytest.approx(0.5)
+    assert found["half_width"] == pytest.approx(np.abs(markers[:, 0]).max(), rel=1e-3)
+    assert found["half_width"] > 0.6
+
+
+def test_truth(campaign, monkeypatch):
+    monkeypatch.setattr(truth, "STRAIN", {0.25: 1.0})
+    monkeypatch.setattr(truth, "EQUILIBRIUM", 0.25)
+    one = campaign("truth")
+    records = truth.study(one, {truth.BEST: (24,)}, (0.25,), (0.125, 0.5), (0.9,), (24,), 60)
+    assert_results(one)
+    found = {(record["problem"], record["time"], record["quantity"]): record for record in records}
+    # Also this grid comes within percents where the time was given.
+    for name, error in (("half_width", 0.02), ("energy", 0.02)):
+        assert abs(found["relaxation", 0.5, name]["relative_error"]) < error
+    turning = found["turning", 1, "inclination"]
+    assert turning["truth"] == 0.22056 and abs(turning["error"]) < 5e-3
+    assert found["treading", 1.0, "frequency"]["value"] > 0
+    assert found["least energy", 0.25, "energy ratio"]["value"] > 1.2
+    assert "| bspline43, corrected | " in open(one.path("truth.md")).read().split("Largest")[-1]
+
+
+def test_tolerance(campaign):
+    one = campaign("tolerance")
+    cases = {"relaxation": dict(scene="relaxation", ts_max_time=0.125)}
+    records = tolerance.study(one, 16, {"gcn": (1e-3, 1e-5)}, {"gcn": (0, 1)}, 1e-6, cases)
+    assert_results(one)
+    loose, tight, long, short = (record["error"] for record in records)
+    assert loose > 1.5 * tight and long > 1.5 * short
+    assert all(record["seconds"] > 0 for record in records)
+
+
+def test_seconds_of_fixed_steps_are_found_between_those_tried():
+    records = [dict(error=error, seconds=seconds)
+               for error, seconds in ((1e-2, 1.0), (1e-4, 100.0))] + [dict(status="failed")]
+    assert tolerance.fixed_seconds(records, 1e-3) == pytest.approx(10.0)
+    assert tolerance.fixed_seconds(records, 1e-5) is None is tolerance.fixed_seconds([], 1e-3)
+    falling = [dict(rtol=10.0**-k, error=10.0 ** (-k / 2)) for k in range(4)]
+    assert tolerance.slope(falling) == pytest.approx(0.5) and tolerance.slope(falling[:1]) is None
+
+
+def test_distances_from_a_curve_do_not_depend_on_where_along_it():
+    curve = shapes.ellipse((0.2, 0.5), (0, 0), 0, 80)
+    along = shapes.ellipse((0.2, 0.5), (0, 0), 0, 83)
+    assert defaults.curve_error(along, curve) < 1e-4  # of the finer curve's own edges
+    assert defaults.curve_error(along + (0.01, 0), curve) == pytest.approx(0.01, rel=1e-2)
+    line = np.stack((np.linspace(0, 1, 20), np.zeros(20)), axis=1)
+    points = np.array([[0.5, 0.1], [1.3, 0.4]])
+    assert defaults.curve_error(points, line, True) == pytest.approx(0.5)
+
+
+def test_velocities_on_twice_the_grid():
+    def velocity(cells):
+        faces, centres = np.arange(cells + 1.0) / cells, (np.arange(cells) + 0.5) / cells
+        return {"u": faces + 2 * centres[:, None], "v": 3 * faces[:, None] - centres}
+
+    ours = velocity(8)
+    assert defaults.velocity_error(ours, velocity(16)) < 1e-14
+    ours["u"] *= 1.1
+    ours["v"] *= 1.1
+    assert defaults.velocity_error(ours, velocity(16)) == pytest.approx(0.1)
+
+
+def test_defaults(campaign):
+    one = campaign("defaults")
+    relaxing, driven = defaults.study(one, ("relaxation", "driven"), 60, stag_grid_x=16,
+                                      ts_max_time=0.25)
+    assert relaxing["area"] < 1e-14 and 1e-3 < relaxing["shape"] < 0.1
+    assert relaxing["right"] == int(max(relaxing["shape"], relaxing["place"]) <= defaults.ALLOWED)
+    assert driven["velocity"] > 0 and "shape" not in driven and driven["right"] in (0, 1)
+    assert "| relaxation | cn | 16 x 16 |" in open(one.path("defaults.md")).read()
+
+
+def test_vesicles_are_put_where_an_arrangement_had_them(tmp_path):
+    given = dict(vesicles="2", axes="0.1,0.2", output=str(tmp_path))
+    settings = options.read({**given, "arrangement": "random", "stag_grid_x": "32"})
+    placed = [((0.3, -0.2), 25.0), ((-0.4, 0.1), -70.0)]
+    with tables.Table(tmp_path / "outlines.csv", tables.outline_columns(40)) as file:
+        for step in (0, 5):
+            for k, (center, angle) in enumerate(placed):
+                markers = shapes.ellipse((0.1, 0.2), center, angle + step, 40)
+                file.write((step, 0.1 * step, k, *markers.ravel()))
+    found = defaults.places(runs.Outcome(runs.Run({}), str(tmp_path), runs.FINISHED), settings)
+    again = options.read({**given, **{name: text_of(value) for name, value in found.items()}})
+    for vesicle, (center, angle) in zip(again.each_vesicle(), placed):
+        assert vesicle.center == pytest.approx(center)
+        assert (vesicle.angle - angle + 90) % 180 == pytest.approx(90)
+
+
+def test_grids_may_be_asked_for(tmp_path):
+    asked = ["-cells", "16,24", "-output", str(tmp_path)]
+    one = Campaign.from_command_line("some", "", asked)
+    assert one.grids(64) == (16, 24)
+    assert Campaign.from_command_line("some", "", asked[2:]).grids(64, 128) == (64, 128)
 
 
 def test_gallery(campaign):

@@ -109,7 +109,19 @@ class Interpolation:
         self.grid, self.stresses = grid, stresses
         self.stencil = Stencil(grid, kernel, markers)
         self._count = len(markers)
-        self._matrix = self._values = None
+        self._matrix = self._values = self._near = None
+
+    def use(self, near, matrix):
+        """Interpolate by way of the faces near the markers, without a matrix over all of them.
+
+        Parameters
+        ----------
+        near : Near
+            Gathers a velocity vector's values there (see `petscib.solvers.force`).
+        matrix : scipy.sparse.csr_matrix
+            J on these faces.
+        """
+        self._near = near, matrix
 
     @property
     def matrix(self):
@@ -126,6 +138,9 @@ class Interpolation:
 
     def interpolate(self, velocity):
         """Velocity U at the markers: (M, 2) on rank 0, (0, 2) elsewhere."""
+        if self._near is not None:
+            near, matrix = self._near
+            return (matrix @ near.gather(velocity)).reshape(-1, 2)
         self.matrix.mult(velocity, self._values)
         return self._values.getArray(readonly=True).reshape(-1, 2).copy()
 

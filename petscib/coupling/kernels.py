@@ -14,22 +14,14 @@ import numpy as np
 def yang(r):
     """Smoothed four-point function, support |r| < 2.5 (Yang, Zhang, Li & He 2009)."""
     r = np.abs(r)
-    root2 = np.sqrt(2)
-    near = 3 / 8 + np.pi / 32 - r**2 / 4
-    middle = (
-        1 / 4
-        + (1 - r) / 8 * np.sqrt(np.maximum(-2 + 8 * r - 4 * r**2, 0))
-        - np.arcsin(np.clip(root2 * (r - 1), -1, 1)) / 8
-    )
-    far = (
-        17 / 16
-        - np.pi / 64
-        - 3 * r / 4
-        + r**2 / 8
-        + (r - 2) / 16 * np.sqrt(np.maximum(-14 + 16 * r - 4 * r**2, 0))
-        + np.arcsin(np.clip(root2 * (r - 2), -1, 1)) / 16
-    )
-    return np.select([r < 0.5, r < 1.5, r < 2.5], [near, middle, far], 0.0)
+    square = r * r
+    # Both outer pieces have the same function of the distance to their middle.
+    s = np.clip(np.sqrt(2) * (r - np.where(r < 1.5, 1.0, 2.0)), -1, 1)
+    arc = s * np.sqrt(1 - s * s) + np.arcsin(s)
+    near = (3 / 8 + np.pi / 32) - square / 4
+    middle = 1 / 4 - arc / 8
+    far = (17 / 16 - np.pi / 64) - 3 / 4 * r + square / 8 + arc / 16
+    return np.where(r < 1.5, np.where(r < 0.5, near, middle), np.where(r < 2.5, far, 0.0))
 
 
 def peskin4(r):

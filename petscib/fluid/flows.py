@@ -30,6 +30,12 @@ def cavity(x, y, shear_rate, domain):
     return np.where(y < d, 0.0, shear_rate * (d - c)) + 0 * x, np.zeros_like(x + y)
 
 
+def stream(x, y, shear_rate, domain):
+    """Uniform flow along x, of gamma times the box's height."""
+    _, _, c, d = domain
+    return shear_rate * (d - c) + 0 * (x + y), np.zeros_like(x + y)
+
+
 def taylor_green(x, y, shear_rate, domain):
     """Vortices that fill the box, one period of it each way, of the strain rate gamma."""
     a, b, c, d = domain
@@ -39,7 +45,7 @@ def taylor_green(x, y, shear_rate, domain):
 
 
 FLOWS = {flow.__name__.replace("_", "-"): flow
-         for flow in (rest, shear, extensional, poiseuille, cavity, taylor_green)}
+         for flow in (rest, shear, extensional, poiseuille, cavity, stream, taylor_green)}
 # Directions in which they vary, and not with the box: there it cannot be periodic.
 VARIES = {"rest": "", "shear": "y", "extensional": "xy", "poiseuille": "y", "cavity": "y",
-          "taylor-green": ""}
+          "stream": "", "taylor-green": ""}

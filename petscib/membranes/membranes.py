@@ -143,6 +143,14 @@ class Membranes:
         return law.tension(stretch) if stress is None else law.of_stress(
             stress[self.rows[law.name]])
 
+    def measures(self, stress):
+        """What laws measure of each membrane, arrays (V,) by column."""
+        found = {}
+        for law in self.laws:
+            if hasattr(law, "measures"):
+                found.update(zip(law.measures, law.measure(stress[self.rows[law.name]])))
+        return found
+
     def load(self, time):
         """Given force on each marker, shape (M, 2)."""
         return sum(load.force(time) for load in self.loads)

@@ -122,17 +122,21 @@ class AreaProjector:
 
     def project(self, values):
         """Pi q, shape (M, 2)."""
+        if self.curves.count == 1:  # the usual case, several times an iteration
+            return values - np.vdot(self.dual, values) * self.normal
         return values - self.curves.spread(self.component(values))[:, None] * self.normal
 
 
 def restore_areas(curves, markers, target):
     """Shift markers along N until each membrane around an area has the signed area `target`.
 
-    Newton's method; the area is quadratic in the shift, so three steps take an error of 1e-2 to
-    round-off.
+    The area is quadratic in the shift s: that of X + s D is that of X plus s plus s^2 times that
+    of D, with D = N / |N|^2.
     """
-    for _ in range(3):
-        projector = AreaProjector(curves, markers)
-        missing = np.where(curves.encloses, target - signed_area(markers, curves), 0.0)
-        markers = markers + curves.spread(missing)[:, None] * projector.dual
-    return markers
+    direction = AreaProjector(curves, markers).dual
+    area, bend = (signed_area(values, curves) for values in (markers, direction))
+    missing = np.where(curves.encloses, target - area, 0.0)
+    bend = np.where(curves.encloses, bend, 0.0)
+    # The root that goes to zero with what is missing; nothing can be done for less than a point.
+    shift = 2 * missing / (1 + np.sqrt(np.maximum(1 + 4 * missing * bend, 0.0)))
+    return markers + curves.spread(shift)[:, None] * direction

@@ -198,7 +198,7 @@ class Results:
         for path in old:
             os.unlink(path)
 
-    def summarise(self, steps, seconds, phases, ended):
+    def summarise(self, steps, seconds, cpu_seconds, phases, ended):
         """Write summary.json and return its content.  Raises OutputError on all ranks."""
         summary = {
             "versions": installation.versions(),
@@ -209,6 +209,7 @@ class Results:
             "ended": ended,
             "steps": steps,
             "total_seconds": seconds,
+            "cpu_seconds": self.comm.allreduce(cpu_seconds),  # of all ranks together
             "phase_seconds": dict(phases),
             "peak_memory_bytes": peak_memory(self.comm),
             "last_row": {

@@ -223,9 +223,9 @@ def _numbers(path, fields):
 def _text(value):
     if value is None:
         return ""
-    if isinstance(value, Integral):
-        return str(int(value))
-    return repr(float(value))
+    if isinstance(value, float) or not isinstance(value, Integral):
+        return repr(float(value))
+    return str(int(value))
 
 
 def _difference(found, expected):

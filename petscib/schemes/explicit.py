@@ -29,7 +29,8 @@ class Explicit(ProjectionScheme):
         # rho (u* - u^n) / dt = mu Laplacian u* + F[f^n]
         if problem.acted_on:
             with phase("forces"):
-                operators.spread_add(operators.force(problem.stress(state)), self._rhs)
+                stage.stress = problem.stress(state)
+                operators.spread_add(operators.force(stage.stress), self._rhs)
         with phase("momentum solve"):
             iterations = {"momentum": self.system.solve(self._rhs, stage, dt)}
 

@@ -162,7 +162,7 @@ class StageScheme:
         end = State(state.step + 1, state.time + dt, velocity, stage.pressure, markers, stretch,
                     history)
         return Step(dt, self.theta, state, end, stage.velocity, marker_velocity=motion,
-                    transport=self._transport, **rest)
+                    stress=stage.stress, transport=self._transport, **rest)
 
     def forget(self):
         """Drop what depends on earlier steps and is in no checkpoint."""

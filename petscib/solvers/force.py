@@ -124,7 +124,7 @@ class Force:
         self.fluid = fluid
         self.model = MarkerModel(membranes.curves, fluid.grid, kernel, fluid.rho, fluid.mu,
                                  fluid.share, fluid.prefix + "model_")
-        self._near = self._interval = self._free_velocity = None
+        self._near = self._free_velocity = self._stage_velocity = None
         self._base = fluid.grid.velocity_vector()
         self._load = krylov.vector_on_root(membranes.stress_count, fluid.grid.comm)
         self._change = self._load.duplicate()
@@ -158,11 +158,11 @@ class Force:
     def update(self, interval, operators, stress):
         """Set the system for a configuration of the membranes."""
         changed = self.fluid.update(interval)
-        self.interval, self.operators = interval, operators
+        self.interval, self.operators, self._stage_velocity = interval, operators, None
         self._free = stress / interval
         with phase("marker model"):
             self.model.update(interval, operators)
-        self._place(operators.interpolation.stencil, changed)
+        self._place(operators.interpolation, changed)
         self._operator.changed()
         self.ksp.setOperators(self._operator.matrix)
 
@@ -174,8 +174,9 @@ class Force:
             self._free_power = np.sqrt(abs(area * self.rhs.dot(self._base)))
             self._free_velocity = self._near.gather(self._base)
 
-    def _place(self, stencil, changed):
+    def _place(self, interpolation, changed):
         """Follow the markers: as a rule, they are still where they see the same faces."""
+        stencil = interpolation.stencil
         matrix = self._near.interpolation(stencil) if self._near and not changed else None
         if self.fluid.grid.comm.tompi4py().bcast(matrix is None):
             self.forget()
@@ -183,7 +184,8 @@ class Force:
             matrix = self._near.interpolation(stencil)
             if self._free_velocity is not None:
                 self._free_velocity = self._near.gather(self._base)
-        self._interpolation, self._spreading = matrix, matrix.T / self.fluid.grid.cell_area
+        interpolation.use(self._near, matrix)
+        self._interpolation, self._spreading = matrix, matrix.T
 
     def _carry(self, velocity):
         """Pi J w for velocities near the markers."""
@@ -191,7 +193,8 @@ class Force:
 
     def _spread(self, force):
         """J^T Pi f / (dx dy), the force per area near the markers."""
-        return self._spreading @ self.operators.project(force).ravel()
+        density = self.operators.project(force) / self.fluid.grid.cell_area
+        return self._spreading @ density.ravel()
 
     def _moved_by(self, force):
         """(H' + K) f for forces on the markers."""
@@ -214,28 +217,29 @@ class Force:
         operators, stress = self.operators, self.stage.stress
         carried = self._carry(self._free_velocity)
         load = self._free + operators.rate(carried)
-        iterations = 0
+        loaded, iterations = self._share(self._size(load))[0], 0
         for _ in range(MOST_ATTEMPTS):
             force = operators.force(stress)
             moved = self._moved_by(force)
             self._load.getArray()[:] = load - stress / self.interval + operators.rate(moved)
-            residual = self._load.getArray(readonly=True)
-            loaded, left, exerted = self._share(
-                self._size(load), self._size(residual), np.sqrt(abs(np.sum(force * moved))))
             if accuracy is None:
                 tolerance = self.rtol * np.hypot(loaded, self._free_power)
             else:
+                left, exerted = self._share(
+                    self._size(self._load.getArray(readonly=True)),
+                    np.sqrt(abs(np.sum(force * moved))))
                 tolerance = max(min(accuracy * exerted, REDUCTION * left), ROUND_OFF * loaded)
             with krylov.tolerances(self.ksp, 0.0, tolerance):
                 iterations += krylov.solve(
                     self.ksp, self._load, self._change, self.fluid.name, krylov.advice(self.ksp),
                     self.model.direct)
             stress = stress + self._change.getArray(readonly=True)
+            if accuracy is None:
+                break
             # f . (U - Pi J w_b) of the solution, with f . U = - m . C U
             work = -(stress @ (stress / self.interval - self._free)) - np.sum(
                 operators.force(stress) * carried)
-            if accuracy is None or self._share(
-                    np.sqrt(max(work, 0.0)))[0] >= MUCH_LESS * exerted:
+            if self._share(np.sqrt(max(work, 0.0)))[0] >= MUCH_LESS * exerted:
                 break
         self.stage.stress = stress
         return iterations
@@ -251,6 +255,8 @@ class Force:
     def marker_velocity(self):
         """U for the stresses of the last solution."""
         force = self.operators.force(self.stage.stress)
+        if self._stage_velocity is not None:
+            return self._carry(self._stage_velocity) + self.operators.slip_velocity(force)
         return self._carry(self._free_velocity) + self._moved_by(force)
 
     def finish(self):
@@ -258,6 +264,7 @@ class Force:
         self.rhs.copy(self._base)
         self._near.add(self._spread(self.operators.force(self.stage.stress)), self._base)
         self.fluid.solve(self._base, self.stage.velocity, self.stage.pressure)
+        self._stage_velocity = self._near.gather(self.stage.velocity)
 
     def view(self, pc, viewer):
         """Say what it is, and what inverts the fluid's matrix."""

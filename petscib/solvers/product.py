@@ -30,8 +30,11 @@ class Product:
         self.rows, self.indices = np.divmod(places, second.shape[1])
         self.indptr = np.searchsorted(self.rows, np.arange(self.shape[0] + 1))
 
-    def matrix(self, first, second):
-        """The product for the values (`data`) of the factors."""
-        values = np.bincount(
+    def values(self, first, second):
+        """The product's values (`data`) for those of the factors."""
+        return np.bincount(
             self._entry, first[self._first] * second[self._second], len(self.indices))
+
+    def csr(self, values):
+        """The matrix with these values."""
         return csr_matrix((values, self.indices, self.indptr), self.shape)

@@ -7,8 +7,9 @@ import sys
 
 from .campaign import add_options
 
-STUDIES = ("convergence", "iterations", "workprecision", "stability", "maxstep", "cputime",
-           "tanktreading", "truth", "tolerance", "navierstokes", "vesicles", "contrast", "gallery")
+STUDIES = ("truth", "defaults", "tolerance", "workprecision", "convergence", "maxstep", "cputime",
+           "tanktreading", "stability", "iterations", "navierstokes", "vesicles",
+           "contrast", "gallery")
 
 
 def main(arguments=None):
@@ -20,6 +21,8 @@ def main(arguments=None):
     status = 0
     for name in STUDIES:
         words = ["-ranks", str(given.ranks), *(["-quick"] if given.quick else [])]
+        if given.cells:
+            words += ["-cells", ",".join(map(str, given.cells))]
         words += ["-output", os.path.join(given.output or os.path.join("out", "studies"), name)]
         status = max(status, importlib.import_module(f".{name}", __package__).main(words))
     return status

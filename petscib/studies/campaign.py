@@ -24,10 +24,13 @@ class Campaign:
         The version of minutes.
     ranks : int
         MPI ranks of each run.
+    cells : tuple of int
+        Grids that are asked for instead of the study's own.
     """
 
-    def __init__(self, name, output, quick=False, ranks=1):
+    def __init__(self, name, output, quick=False, ranks=1, cells=()):
         self.name, self.output, self.quick, self.ranks = name, output, quick, ranks
+        self.cells = cells
         self._outcomes = {}
         self._titles = {}
         self._began = perf_counter()
@@ -43,7 +46,11 @@ class Campaign:
         # As Ctrl-C does, and unlike the default: the run at work must end too.
         signal.signal(signal.SIGTERM, lambda kind, frame: sys.exit(128 + kind))
         folder = given.output or os.path.join("out", "studies", name)
-        return cls(name, folder, given.quick, given.ranks)
+        return cls(name, folder, given.quick, given.ranks, given.cells)
+
+    def grids(self, *own):
+        """Cells of the study's grids: those asked for, or its own."""
+        return self.cells or own
 
     def run(self, title, options, time_limit=float("inf"), progress=""):
         """Make a run, or find it made.
@@ -133,14 +140,16 @@ class Campaign:
             sys.exit(f"{self.name}: none of {len(without)} runs has given a result; the first "
                      f"{first.status}: {first.reason}; all it said: {first.folder}/log.txt")
         report.write_csv(self.path(f"{self.name}.csv"), columns, rows)
-        quick = " -quick" if self.quick else ""
+        words = " -quick" if self.quick else ""
+        if self.cells:
+            words += f" -cells {','.join(map(str, self.cells))}"
         examples = [one.command for one in self._outcomes.values()]
         if without:
             text += "\n**Runs that crashed or were refused**\n\n" + report.markdown_table(
                 ["run", "status", "reason"],
                 [[self._titles[key], self._outcomes[key].status,
                   self._outcomes[key].reason.replace("|", "/")] for key in without])
-        text += f"\nMade by `python -m petscib.studies.{self.name}{quick}`"
+        text += f"\nMade by `python -m petscib.studies.{self.name}{words}`"
         text += f"; the command of every run is in `runs.csv`, such as\n`{examples[-1]}`.\n"
         report.write_text(self.path(f"{self.name}.md"), text)
         print(text)
@@ -151,7 +160,13 @@ def add_options(parser):
     """The options that all studies share."""
     parser.add_argument("-quick", action="store_true", help="a version of minutes")
     parser.add_argument("-output", metavar="DIR", help="results (default: out/studies/NAME)")
+    parser.add_argument("-cells", metavar="N,...", type=_numbers, default=(),
+                        help="grids, where a study has a choice of them (default: its own)")
     parser.add_argument("-ranks", metavar="N", type=int, default=1, help="MPI ranks of each run")
+
+
+def _numbers(text):
+    return tuple(int(word) for word in text.split(","))
 
 
 def _words(label):

@@ -6,6 +6,8 @@ error of mbe peaks early and falls again.)  Implicit schemes run to T = 1 with a
 The explicit scheme would need up to millions of steps for that, so it only has to hold for a
 number of steps from rest, which the table names: its limit here is an upper bound of the true one.
 The search takes it that a time step above an unstable one is unstable too.
+
+The paper's literal method comes first, and beside it the corrected one.
 """
 
 import sys
@@ -13,7 +15,7 @@ import sys
 import numpy as np
 
 from ..schemes.registry import SCHEMES
-from . import report, runs
+from . import methods, report, runs
 from .campaign import Campaign
 
 STIFFNESSES = 1e7, 1e8, 1e9
@@ -35,8 +37,8 @@ PAPER = {
     (512, 1e9): (1.53e-7, 3.91e-3, 3.91e-3),
 }
 PAPER_SCHEMES = "ep", "mbe", "mcn"
-COLUMNS = ("scheme", "sigma0", "cells", "criterion", "relation", "dt", "dt_over_h", "above_it",
-           "paper_dt")
+COLUMNS = ("scheme", "method", "sigma0", "cells", "criterion", "relation", "dt", "dt_over_h",
+           "above_it", "paper_dt")
 EQUAL, AT_LEAST, BELOW, UNKNOWN = "=", ">=", "<", "no result"
 ALWAYS, AT_END = "at every step", "at the end"
 
@@ -45,9 +47,10 @@ def main(arguments=None):
     """Run the study; returns the exit status."""
     campaign = Campaign.from_command_line("maxstep", __doc__.splitlines()[0], arguments)
     if campaign.quick:
-        study(campaign, (64, 128), (1e7, 1e9), explicit_steps=200, octave=2, time_limit=300)
+        study(campaign, campaign.grids(64, 128), (1e7, 1e9), explicit_steps=200, octave=2,
+              time_limit=300)
     else:
-        study(campaign, (128, 256, 512), STIFFNESSES, explicit_steps=1000, octave=2,
+        study(campaign, campaign.grids(128, 256, 512), STIFFNESSES, explicit_steps=1000, octave=2,
               time_limit=3600)
     return campaign.exit_status
 
@@ -72,9 +75,9 @@ def study(campaign, cells, stiffnesses, explicit_steps, octave, time_limit, sche
         Where the search for implicit schemes ends, in units of h.
     """
     records = []
-    cases = [(count, sigma0, scheme) for count in cells for sigma0 in stiffnesses
-             for scheme in schemes]
-    for number, (count, sigma0, scheme) in enumerate(cases, 1):
+    cases = [(count, sigma0, *one) for count in cells for sigma0 in stiffnesses
+             for one in methods.series(schemes)]
+    for number, (count, sigma0, scheme, method) in enumerate(cases, 1):
         h = 2 / count
         if not SCHEMES[scheme].implicit:
             middle = explicit_guess(count, sigma0)
@@ -82,16 +85,17 @@ def study(campaign, cells, stiffnesses, explicit_steps, octave, time_limit, sche
         else:
             low, high = smallest * h, min(LARGEST * h, END)
 
-        def make(dt, number=number, count=count, sigma0=sigma0, scheme=scheme):
+        def make(dt, number=number, count=count, sigma0=sigma0, scheme=scheme, method=method):
             end = END if SCHEMES[scheme].implicit else explicit_steps * dt
             return campaign.run(
-                f"{scheme} sigma0 {sigma0:g} {count}^2 dt {dt:.3g}",
-                declare(scheme, sigma0, count, dt, end), time_limit, f"{number}/{len(cases)}")
+                f"{methods.title(scheme, method)} sigma0 {sigma0:g} {count}^2 dt {dt:.3g}",
+                declare(scheme, method, sigma0, count, dt, end), time_limit,
+                f"{number}/{len(cases)}")
 
         # The few steps of ep have no end that would mean anything.
         for criterion in (ALWAYS, AT_END) if SCHEMES[scheme].implicit else (ALWAYS,):
-            record = dict(scheme=scheme, sigma0=sigma0, cells=count, criterion=criterion,
-                          paper_dt=paper(scheme, sigma0, count))
+            record = dict(scheme=scheme, method=method, sigma0=sigma0, cells=count,
+                          criterion=criterion, paper_dt=paper(scheme, method, sigma0, count))
             try:
                 relation, dt, above = search(
                     lambda dt, make=make, criterion=criterion: trouble(make(dt), criterion),
@@ -106,10 +110,10 @@ def study(campaign, cells, stiffnesses, explicit_steps, octave, time_limit, sche
     return records
 
 
-def declare(scheme, sigma0, cells, dt, end):
+def declare(scheme, method, sigma0, cells, dt, end):
     """Options of one run."""
-    return dict(scene="stiff", scheme=scheme, sigma0=sigma0, stag_grid_x=cells, fft=True,
-                ts_dt=dt, ts_max_time=end)
+    return dict(scene="stiff", **methods.OPTIONS[method], scheme=scheme, sigma0=sigma0,
+                stag_grid_x=cells, fft=True, ts_dt=dt, ts_max_time=end)
 
 
 class NoResultError(Exception):
@@ -176,8 +180,10 @@ def explicit_guess(cells, sigma0):
     return known[0] if known else 2.22e-5 * (128 / cells) * (1e7 / sigma0) ** 0.7
 
 
-def paper(scheme, sigma0, cells):
+def paper(scheme, method, sigma0, cells):
     """The paper's entry, or None."""
+    if method != methods.LITERAL:
+        return None
     entries = dict(zip(PAPER_SCHEMES, PAPER.get((cells, sigma0), ())))
     return entries.get(scheme)
 
@@ -185,21 +191,26 @@ def paper(scheme, sigma0, cells):
 def _markdown(records, explicit_steps, octave):
     text = (f"Largest stable time step, to a factor of {2 ** (1 / octave):.2f}: area and perimeter "
             f"within 1 percent up to T = {END:g} (ep: over {explicit_steps} steps from rest), "
-            f"ellipse (0.1, 0.5), c_b = 0.01, at most {LARGEST:g} h and T. In brackets dt/h, in "
-            "square brackets the paper's dt. `<` means that no step down to this one holds.\n")
+            f"ellipse (0.1, 0.5), c_b = 0.01, at most {LARGEST:g} h and T: the paper's literal "
+            "method, then with kink correction and area kept. In brackets dt/h, in square brackets "
+            "the paper's dt. `<` means that no step down to this one holds.\n")
     for criterion in (ALWAYS, AT_END):
         among = [one for one in records if one["criterion"] == criterion]
         if among:
             text += f"\n**Within 1 percent {criterion}**\n\n{_limits(among)}"
-    rows = [[one["criterion"], f"{one['cells']}^2", report.number(one["sigma0"], 1), one["scheme"],
+    rows = [[one["criterion"], f"{one['cells']}^2", report.number(one["sigma0"], 1), _series(one),
              one["above_it"]] for one in records if one.get("above_it")]
     return text + "\nWhat goes wrong just above:\n\n" + report.markdown_table(
         ["criterion", "cells", "sigma0", "scheme", "trouble"], rows)
 
 
+def _series(record):
+    return methods.title(record["scheme"], record["method"])
+
+
 def _limits(records):
-    schemes = list(dict.fromkeys(one["scheme"] for one in records))
-    entries = {(one["cells"], one["sigma0"], one["scheme"]): one for one in records}
+    schemes = list(dict.fromkeys(map(_series, records)))
+    entries = {(one["cells"], one["sigma0"], _series(one)): one for one in records}
     rows = []
     for count, sigma0 in dict.fromkeys((one["cells"], one["sigma0"]) for one in records):
         row = [f"{count}^2", report.number(sigma0, 1)]
@@ -228,16 +239,18 @@ def _draw(path, records, stiffnesses):
 
 
 def _draw_panel(axis, records):
-    """Limits at every step; the paper's as hollow symbols."""
+    """Limits at every step; dotted with hollow symbols the paper's, dashed the corrected."""
     records = [one for one in records if one["criterion"] == ALWAYS]
     cells = sorted({one["cells"] for one in records})
-    schemes = list(dict.fromkeys(one["scheme"] for one in records))
-    for k, scheme in enumerate(schemes):
+    series = list(dict.fromkeys((one["scheme"], one["method"]) for one in records))
+    for k, (scheme, method) in enumerate(series):
         style = SCHEMES[scheme].style
-        group = [one for one in records if one["scheme"] == scheme]
+        group = [one for one in records if (one["scheme"], one["method"]) == (scheme, method)]
         # Side by side, since several schemes share the same limit.
-        places = np.array([one["cells"] for one in group]) * 1.05 ** (k - len(schemes) / 2)
-        axis.loglog(places, [one.get("dt", np.nan) for one in group], label=scheme, **style)
+        places = np.array([one["cells"] for one in group]) * 1.03 ** (k - len(series) / 2)
+        axis.loglog(places, [one.get("dt", np.nan) for one in group],
+                    linestyle="-" if method == methods.LITERAL else "--",
+                    label=methods.title(scheme, method), **style)
         known = [one for one in group if one["paper_dt"]]
         if known:
             axis.loglog([one["cells"] for one in known], [one["paper_dt"] for one in known],

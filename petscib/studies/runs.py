@@ -137,6 +137,25 @@ class Outcome:
         walls = self.column("wall_seconds")
         return float(walls[-1] - walls[0]) / self.steps if len(walls) > 1 else None
 
+    @cached_property
+    def _summary(self):
+        try:
+            with open(os.path.join(self.folder, "summary.json")) as file:
+                return json.load(file)
+        except FileNotFoundError:
+            return {}
+
+    @property
+    def cpu_seconds(self):
+        """Processor seconds a rank, which other programs on the machine change little."""
+        return self._summary["cpu_seconds"] / self.run.ranks if self._summary else None
+
+    @property
+    def step_cpu_seconds(self):
+        """Those of a step, set-up left out; None without steps."""
+        return self.step_seconds and (
+            self.step_seconds * self.cpu_seconds / self._summary["total_seconds"])
+
     def final(self):
         """Arrays of final.h5: u, v, p and, with a vesicle, its markers X."""
         import h5py
@@ -146,6 +165,14 @@ class Outcome:
             if "vesicle_0" in file:
                 found["X"] = file["vesicle_0/X"][...]
         return found
+
+    def curves(self):
+        """Markers of each vesicle in final.h5."""
+        import h5py
+
+        with h5py.File(os.path.join(self.folder, "final.h5"), "r") as file:
+            count = sum(name.startswith("vesicle_") for name in file)
+            return [file[f"vesicle_{k}/X"][...] for k in range(count)]
 
 
 def execute(run, folder):

@@ -1,6 +1,7 @@
 """Stiff and extreme cases: what each scheme survives, and what it keeps of the energy law.
 
-One property of a resting vesicle (0.1, 0.5) at a time is taken to its extremes, for every scheme.
+One property of a resting vesicle (0.1, 0.5) at a time is taken to its extremes, for every scheme:
+those of the paper's tables by its literal method, and all with kink correction and area kept.
 Further cases are further lines of `cases`.
 """
 
@@ -13,7 +14,7 @@ import numpy as np
 from ..coupling.kernels import KERNELS
 from ..membranes.shapes import ellipse_perimeter
 from ..schemes.registry import SCHEMES
-from . import report, runs
+from . import methods, report, runs
 from .campaign import Campaign
 
 CELLS = 64
@@ -26,8 +27,8 @@ ROUND_OFF = 1e-8
 DRIFT = 0.01  # of area or perimeter, as in Hu & Lai's Table 2
 # Only record the residual: it is what is measured, and must not end the run.
 LEDGER = dict(ledger="record")
-COLUMNS = ("group", "case", "scheme", "status", "reason", "steps", "energy_rise", "monotone",
-           "ledger_residual", "area_drift", "perimeter_drift", "solver_iterations",
+COLUMNS = ("group", "case", "scheme", "method", "status", "reason", "steps", "energy_rise",
+           "monotone", "ledger_residual", "area_drift", "perimeter_drift", "solver_iterations",
            "picard_iterations", "step_seconds", "verdict")
 SOUND, RISES, DRIFTS, LOST, UNKNOWN = (
     "sound", "energy rises", "drifts", "does not finish", "no result")
@@ -133,20 +134,22 @@ def study(campaign, chosen, steps=None, time_limit=900.0, schemes=SCHEMES):
         Seconds a run.
     schemes : sequence of str
     """
-    declared = {(case.group, case.name, scheme): declare(case, scheme, steps)
-                for case in chosen for scheme in schemes}
-    outcomes = campaign.run_all(declared, time_limit)
-    records = [judge(case, scheme, outcomes[case.group, case.name, scheme])
-               for case in chosen for scheme in schemes]
+    series = methods.series(schemes)
+    labels = [(case, *one) for case in chosen for one in series]
+    outcomes = campaign.run_all({
+        (case.group, case.name, scheme, method): declare(case, scheme, method, steps)
+        for case, scheme, method in labels}, time_limit)
+    records = [judge(case, scheme, method, outcome)
+               for (case, scheme, method), outcome in zip(labels, outcomes.values())]
     campaign.write(COLUMNS, [[one.get(name) for name in COLUMNS] for one in records],
-                   _markdown(records, chosen, schemes))
-    _draw(campaign.path("stability.png"), records, chosen, schemes)
+                   _markdown(records, chosen, series))
+    _draw(campaign.path("stability.png"), records, chosen, series)
     return records
 
 
-def declare(case, scheme, steps=None):
+def declare(case, scheme, method, steps=None):
     """Options of one run."""
-    options = {**BASE, "scheme": scheme, **case.options}
+    options = {**BASE, **methods.OPTIONS[method], "scheme": scheme, **case.options}
     if not SCHEMES[scheme].implicit:  # it takes its force from the markers, and has no energy law
         options.pop("stretch", None)
     else:
@@ -154,14 +157,14 @@ def declare(case, scheme, steps=None):
     return dict(options, ts_max_time=options["ts_dt"] * (steps or case.steps))
 
 
-def judge(case, scheme, outcome):
+def judge(case, scheme, method, outcome):
     """The record of one run.  No number in it is infinite or NaN."""
     energy = outcome.column("energy")
     solver = outcome.column("coupled_iterations")
     solver = solver if len(solver) else outcome.column("momentum_iterations")
     picard = outcome.column("picard_iterations")
     record = dict(
-        group=case.group, case=case.name, scheme=scheme, status=outcome.status,
+        group=case.group, case=case.name, scheme=scheme, method=method, status=outcome.status,
         reason=outcome.reason, steps=outcome.steps,
         ledger_residual=outcome.largest("ledger_residual"),
         area_drift=outcome.largest("area_error"),
@@ -185,19 +188,21 @@ def _verdict(record):
     return DRIFTS if drift > DRIFT else SOUND
 
 
-def _markdown(records, chosen, schemes):
+def _markdown(records, chosen, series):
     steps = sorted({one["steps"] for one in records if one["status"] == runs.FINISHED})
     span = f"{steps[0]} to {steps[-1]}" if len(steps) > 1 else str(*steps)
     parts = [f"Runs of {span} steps from rest; shear runs from the background flow. The base is a "
-             f"vesicle {AXES} on {CELLS}^2 with dt = h, sigma0 = 1e5, c_b = 0.01, rho = mu = 1.\n"]
-    entries = {(one["group"], one["case"], one["scheme"]): one for one in records}
+             f"vesicle {AXES} on {CELLS}^2 with dt = h, sigma0 = 1e5, c_b = 0.01, rho = mu = 1. "
+             "Those of the paper's tables by its literal method, then all with kink correction and "
+             "area kept.\n"]
+    entries = {(one["group"], one["case"], one["scheme"], one["method"]): one for one in records}
 
     def table(title, entry, note=""):
         rows = [[case.group, case.name,
-                 *(entry(entries[case.group, case.name, scheme]) for scheme in schemes)]
+                 *(entry(entries[(case.group, case.name, *one)]) for one in series)]
                 for case in chosen]
-        parts.append(f"**{title}**{note}\n\n"
-                     + report.markdown_table(["", "case", *schemes], rows))
+        header = ["", "case", *(methods.title(*one) for one in series)]
+        parts.append(f"**{title}**{note}\n\n" + report.markdown_table(header, rows))
 
     def after(one):
         return one["verdict"] + (f" ({one['steps']})" if one["verdict"] == LOST else "")
@@ -215,8 +220,8 @@ def _markdown(records, chosen, schemes):
         table(title, lambda one, name=name: report.number(one.get(name), 2))
     lost = [one for one in records if one["verdict"] == LOST]
     if lost:
-        rows = [[one["group"], one["case"], one["scheme"], str(one["steps"]), one["status"],
-                 shortened(one["reason"])] for one in lost]
+        rows = [[one["group"], one["case"], methods.title(one["scheme"], one["method"]),
+                 str(one["steps"]), one["status"], shortened(one["reason"])] for one in lost]
         parts.append("**Runs that did not finish**\n\n" + report.markdown_table(
             ["", "case", "scheme", "steps", "status", "last line of its output"], rows))
     return "\n".join(parts)
@@ -228,22 +233,23 @@ def shortened(reason):
     return clause[len("petscib: "):] if clause.startswith("petscib: ") else clause
 
 
-def _draw(path, records, chosen, schemes):
+def _draw(path, records, chosen, series):
     """A square for every run: its colour the verdict, in it the larger drift."""
     colours = {SOUND: "#9BD0B9", RISES: "#F2CF7E", DRIFTS: "#BFDDF2", LOST: "#E59C78",
                UNKNOWN: "#DDDDDD"}
-    with report.picture(path, 2.6 + 0.95 * len(schemes), 1.0 + 0.27 * len(chosen)) as (
+    with report.picture(path, 2.6 + 0.95 * len(series), 1.0 + 0.27 * len(chosen)) as (
             figure, axes):
         axis = axes[0, 0]
         for k, one in enumerate(records):
-            row, column = divmod(k, len(schemes))
+            row, column = divmod(k, len(series))
             axis.add_patch(_square(column, row, colours[one["verdict"]]))
             drift = [one[name] for name in ("area_drift", "perimeter_drift") if one.get(name)]
             text = f"step {one['steps'] + 1}" if one["verdict"] == LOST else report.number(
                 max(drift, default=None), 2)
             axis.text(column, row, text, ha="center", va="center", fontsize=9)
-        axis.set(xlim=(-0.5, len(schemes) - 0.5), ylim=(len(chosen) - 0.5, -0.5))
-        axis.set_xticks(range(len(schemes)), schemes)
+        axis.set(xlim=(-0.5, len(series) - 0.5), ylim=(len(chosen) - 0.5, -0.5))
+        axis.set_xticks(range(len(series)),
+                        [methods.title(*one).replace(", ", "\n") for one in series])
         axis.set_yticks(range(len(chosen)), [f"{case.group}: {case.name}" for case in chosen],
                         fontsize=9)
         axis.tick_params(length=0, labeltop=True, labelbottom=False)

@@ -26,6 +26,9 @@ A law whose rows come and go (see `contact`) also has
 ``energy(markers)``
     Its energy, whatever the rows at hand.
 
+A law may have columns of its own in the tables: it names them in ``measures``, and
+``measure(stress)`` gives a number each for every membrane.
+
 A law whose stresses change in time by themselves, as where tethers are moved, says so by ``moves``.
 
 `Load` is no such law: a given force has no energy, and its power is in the ledger.

@@ -18,6 +18,7 @@ class Tether:
     """
 
     name, linear = "tether", True
+    measures = "drag", "lift"  # force of the fluid on what is held, along x and along y
 
     def __init__(self, curves, stiffness, target):
         stiffness = np.broadcast_to(np.asarray(stiffness, float), curves.ds.shape)
@@ -25,6 +26,7 @@ class Tether:
         self._root = np.repeat(np.sqrt(stiffness * curves.ds)[self._held], 2)
         self.moves = callable(target)
         self.target = target if callable(target) else lambda time: target
+        self._owner, self._count = curves.owner[self._held], curves.count
         self.columns = (2 * self._held[:, None] + np.arange(2)).reshape(-1, 1)
 
     def stress(self, markers, stretch, time=0.0):
@@ -35,3 +37,14 @@ class Tether:
     def weights(self, before, after):
         """Its rows, the same wherever the markers are."""
         return self._root[:, None]
+
+    def measure(self, stress):
+        """Drag and lift of each membrane, shape (2, V): the pull on its tethers, per depth.
+
+        Parameters
+        ----------
+        stress : ndarray, shape (rows,)
+            Of this law.
+        """
+        pulls = (self._root * stress).reshape(-1, 2).T
+        return np.array([np.bincount(self._owner, pull, self._count) for pull in pulls])

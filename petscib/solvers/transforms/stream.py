@@ -22,6 +22,7 @@ biharmonic equation (SIAM J. Numer. Anal. 20 (1983) 59-71), which this is in the
 """
 
 import numpy as np
+from mpi4py import MPI
 from scipy.linalg import cho_factor, cho_solve
 
 from .bases import corner_bases, velocity_fields
@@ -51,36 +52,40 @@ class TwoWalls:
 
     Parameters
     ----------
-    inverse : ndarray
-        Q, with lines across the walls.
-    weights : ndarray
-        Rows of R (see `_wall_weights`).
+    diagonal : ndarray
+        Its diagonal, and all that there is of it, less one.
     """
 
-    def __init__(self, inverse, weights):
-        self._diagonal = 1 + weights**2 @ inverse
+    def __init__(self, diagonal):
+        self._diagonal = 1 + diagonal
 
     def solve(self, sums):
-        """Replace the right-hand sides, shape (2, wave numbers along the walls)."""
+        """Replace the right-hand sides by the answers."""
         sums /= self._diagonal
 
 
 class FourWalls:
-    """The system 1 + R Q R^T of the forces of four walls, factored.  Not collective.
+    """The system 1 + R Q R^T of the forces of four walls, factored.  Collective.
+
+    Its four blocks are dealt out to the ranks.
 
     Parameters
     ----------
-    inverse : ndarray, shape (n - 1, m - 1)
-        Q.
+    inverse : callable
+        Q for slices of its rows and columns.
     horizontal, vertical : ndarray, shapes (2, n - 1) and (2, m - 1)
         Rows of R for the horizontal and the vertical walls (see `_wall_weights`).
+    comm : mpi4py communicator
     """
 
-    def __init__(self, inverse, horizontal, vertical):
-        self._blocks = []
+    def __init__(self, inverse, horizontal, vertical, comm):
+        self._comm, self._blocks = comm, []
+        self._split = vertical.size
         for number_y, parity_y in enumerate(PARITIES):
             for number_x, parity_x in enumerate(PARITIES):
-                q = inverse[parity_y, parity_x]
+                if (2 * number_y + number_x) % comm.size != comm.rank:
+                    continue
+                q = inverse(parity_y, parity_x)
                 along_y, along_x = horizontal[number_y, parity_y], vertical[number_x, parity_x]
                 root = np.sqrt(1 + along_y**2 @ q)
                 link = along_y[:, None] * q * (along_x / root)
@@ -90,13 +95,20 @@ class FourWalls:
                 places = (number_y, parity_x), (number_x, parity_y)
                 self._blocks.append((places, root, link, factor))
 
-    def solve(self, horizontal, vertical):
+    def solve(self, sums):
         """Replace the right-hand sides, shapes (2, m - 1) and (2, n - 1), by the answers."""
+        horizontal, vertical = self._sides(sums.copy())
+        sums[:] = 0.0
+        answers = self._sides(sums)
         for (here, there), root, link, factor in self._blocks:
             half = horizontal[here] / root
-            vertical[there] = cho_solve(
-                factor, vertical[there] - link @ half, check_finite=False)
-            horizontal[here] = (half - vertical[there] @ link) / root
+            answer = cho_solve(factor, vertical[there] - link @ half, check_finite=False)
+            answers[0][here], answers[1][there] = (half - answer @ link) / root, answer
+        if self._comm.size > 1:
+            self._comm.Allreduce(MPI.IN_PLACE, sums)
+
+    def _sides(self, sums):
+        return [part.reshape(2, -1) for part in np.split(sums, [self._split])]
 
 
 class Spectrum:
@@ -150,15 +162,11 @@ class Spectrum:
 
         self._inverse = inverse(rows, columns)
         self._weights = horizontal[:, rows], vertical[:, columns]
-        self._walls = None
-        if self.comm.rank == 0 and self._sums.size:
-            everything = inverse(slice(None), slice(None)) if self.comm.size > 1 else self._inverse
-            if not len(vertical):
-                self._walls = TwoWalls(everything, horizontal)
-            elif not len(horizontal):
-                self._walls = TwoWalls(everything.T, vertical)
-            else:
-                self._walls = FourWalls(everything, horizontal, vertical)
+        if len(horizontal) and len(vertical):
+            self._walls = FourWalls(inverse, horizontal, vertical, self.comm)
+        elif self._sums.size:
+            self._add_up(*(weights**2 for weights in self._weights), self._inverse)
+            self._walls = TwoWalls(self._sums.copy())
 
     def solve(self):
         """Replace forces on the stream function, transformed across the lines, by their answers."""
@@ -172,24 +180,21 @@ class Spectrum:
     def _subtract_walls(self, values):
         """Take from the forces, transformed, those that the walls exert."""
         (rows, columns), product = self.slabs.boxes[0], self._product
-        np.multiply(values, self._inverse, out=product)
         across, along = self._weights
-        self._sums[:] = 0.0
-        self._horizontal[:, columns] = across @ product
-        self._vertical[:, rows] = along @ product.T
-        self._solve_walls()
+        self._add_up(across, along, np.multiply(values, self._inverse, out=product))
+        self._walls.solve(self._sums)
         left = np.concatenate((across, self._vertical[:, rows])).T
         right = np.concatenate((self._horizontal[:, columns], along))
         values -= np.matmul(left, right, out=product)
 
-    def _solve_walls(self):
-        """Sum over the ranks; the first one solves for all."""
-        total = self.comm.reduce(self._sums) if self.comm.size > 1 else self._sums
-        if self.comm.rank == 0:
-            self._sums[:] = total
-            self._walls.solve(*(part for part in (self._horizontal, self._vertical) if len(part)))
+    def _add_up(self, across, along, values):
+        """Sums of values with the weights of the walls, over all ranks and on all of them."""
+        rows, columns = self.slabs.boxes[0]
+        self._sums[:] = 0.0
+        self._horizontal[:, columns] = across @ values
+        self._vertical[:, rows] = along @ values.T
         if self.comm.size > 1:
-            self.comm.Bcast(self._sums)
+            self.comm.Allreduce(MPI.IN_PLACE, self._sums)
 
     def destroy(self):
         """Free the vector.  Collective."""
