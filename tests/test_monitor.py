@@ -243,3 +243,11 @@ def test_closing_lines_of_several_vesicles():
     last_row = {"inclination_0": 0.0, "inclination_1": 1.5707963267948966,
                 "treading_frequency_0": None, "treading_frequency_1": float("nan")}
     assert monitor.closing_lines({"last_row": last_row}) == ["inclination / pi    0, 0.5"]
+
+
+def test_closing_lines_of_one_that_treads_and_one_that_tumbles():
+    last_row = {"inclination_0": 0.0, "inclination_1": 0.0,
+                "half_turn_0": None, "half_turn_1": 13.2,
+                "treading_frequency_0": 0.4, "treading_frequency_1": 0.2}
+    assert monitor.closing_lines({"last_row": last_row})[1:] == [
+        "treading frequency  0.4", "half-turn period    13.2"]
