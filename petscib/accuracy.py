@@ -176,7 +176,8 @@ class Doubts:
         """Of time step and ledger."""
         settings, found = self.settings, []
         cfl, residual = (self._largest.get(name, 0.0) for name in ("cfl", "ledger_residual"))
-        if settings.vesicles and _order(settings) == 1 and cfl > LARGEST_CFL and (
+        carried = settings.vesicles and settings.tether == 0
+        if carried and _order(settings) == 1 and cfl > LARGEST_CFL and (
                 "time step" not in said and settings.ts_rtol is None):
             found.append(f"CFL number up to {cfl:.2g} with a scheme of first order: -ts_dt "
                          f"{settings.ts_dt * LARGEST_CFL / cfl:.2g}, or -scheme gcn")

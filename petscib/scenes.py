@@ -169,6 +169,15 @@ _SCENES = (
         cfl=4.0,
     ),
     Scene(
+        "cylinder",
+        "a circle held by tethers in a stream, at a Reynolds number of 40 by its diameter",
+        # With diameter and speed 1 and rho = 2, drag and lift are the coefficients.
+        dict(flow="stream", shear_rate=0.0625, domain=(-8.0, 16.0, -8.0, 8.0), stag_grid_x=192,
+             rho=2.0, mu=0.05, axes=(0.5, 0.5), markers=25, sigma0=0.0, bending=0.0, tether=1e4,
+             advection="implicit", scheme="be", delta="bspline43", ts_max_time=24.0),
+        cfl=0.8,
+    ),
+    Scene(
         "taylor-green",
         "vortices decay in a periodic box: an exact solution of the Navier-Stokes equations",
         dict(flow="taylor-green", shear_rate=1.0, periodic="xy", mu=0.01, vesicles=0,

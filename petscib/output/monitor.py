@@ -272,8 +272,8 @@ def closing_lines(summary):
     summary : dict
         The content of ``summary.json``; read are ``last_row`` (the last row of the diagnostics
         table), ``steps`` (number done by this run), ``total_seconds``, ``output`` (the folder),
-        ``phase_seconds`` (of which the set-up counts) and, in ``options``, ``flow`` and
-        ``shear_rate``. What is missing is left out.
+        ``phase_seconds`` (of which the set-up counts) and, in ``options``, ``flow``,
+        ``shear_rate`` and ``tether``. What is missing is left out.
 
     Returns
     -------
@@ -302,6 +302,9 @@ def closing_lines(summary):
             values = [value for value in values if _number(value)]
             if values:
                 add(title, ", ".join(f"{value / unit:.5g}" for value in values))
+    if options.get("tether"):
+        for name in ("drag", "lift"):
+            add(name, ", ".join(f"{value:.5g}" for value in _values(row, name) if _number(value)))
     for title, name in (("area error", "area_error"), ("perimeter error", "perimeter_error")):
         if _number(_value(row, name)):
             add(title, f"{_value(row, name):.3e}")
