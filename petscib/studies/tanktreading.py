@@ -162,17 +162,18 @@ def _cases(records):
 def _markdown(records):
     lines, areas = _cases(records)
     cells = sorted({one["cells"] for one in records})
+    grids = ", ".join(f"{count}^2" for count in cells)
     text = ("Steady inclination / pi and treading frequency: finest grid, and in brackets least "
-            f"and largest over {', '.join(f'{count}^2' for count in cells)}. Steady: the mean over "
-            f"a strain of {WINDOW:g} changes by less than {STEADY:g} pi from one to the next.\n")
+            f"and largest over {grids}. " if len(cells) > 1 else
+            f"Steady inclination / pi and treading frequency on {grids}. ")
+    text += (f"Steady: the mean over a strain of {WINDOW:g} changes by less than {STEADY:g} pi "
+             "from one to the next.\n")
     for name, title in (("inclination_over_pi", "inclination / pi"),
                         ("treading_frequency", "treading frequency")):
         rows = []
         for reduced in areas:
             found = [spread(records, *line, reduced, name) for line in lines]
-            rows.append([f"{reduced:g}", *("-" if one is None else
-                                           f"{one[0]:.4g} ({one[1]:.4g} to {one[2]:.4g})"
-                                           for one in found)])
+            rows.append([f"{reduced:g}", *(_entry(one, len(cells) > 1) for one in found)])
         header = ["reduced area", *(f"{title}, rate {rate:g}, {method}" for method, rate in lines)]
         text += "\n" + report.markdown_table(header, rows)
     trouble = [one for one in records if not one.get("steady")]
@@ -191,6 +192,13 @@ def _markdown(records):
     return text + ("\nThe largest of these:\n\n" + report.markdown_table(
         ["method", "area error", "perimeter error", "distance of the centroid from the centre"],
         rows))
+
+
+def _entry(values, with_range):
+    if values is None:
+        return "-"
+    value, low, high = values
+    return f"{value:.4g}" + (f" ({low:.4g} to {high:.4g})" if with_range else "")
 
 
 def _draw(path, records):
