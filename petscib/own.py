@@ -63,7 +63,7 @@ class Points:
         self.array = np.array(array, dtype=float)
 
     def __str__(self):
-        return f"array of shape {self.array.shape}".replace(" ", "")
+        return f"array{self.array.shape}".replace(" ", "")
 
     def __eq__(self, other):
         return isinstance(other, Points) and np.array_equal(self.array, other.array)

@@ -103,6 +103,11 @@ def test_every_study_is_in_the_table_of_studies():
         assert f"| `{name}` |" in page("studies")
 
 
+def test_every_scene_is_in_the_gallery():
+    for name in scenes.SCENES:
+        assert f"## {name}\n" in page("gallery") and f"(gallery/{name}.png)" in page("gallery")
+
+
 def test_every_page_is_in_readme():
     for path in DOCS.glob("*.md"):
         assert f"(docs/{path.name})" in PAGES[ROOT / "README.md"]

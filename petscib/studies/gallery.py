@@ -10,7 +10,7 @@ from ..output import plots
 from ..scenes import SCENES
 from .campaign import Campaign
 
-ANIMATED = ("tanktreading", "pair", "suspension")
+ANIMATED = ("tanktreading", "tumbling", "suspension")
 COLUMNS = ("scene", "status", "steps", "seconds", "picture")
 
 
