@@ -239,6 +239,15 @@ def test_closing_lines_without_vesicle_or_steps():
     assert monitor.closing_lines({}) == []
 
 
+@pytest.mark.parametrize("most, words", [
+    (None, "-ts_max_time 10"), (3, "-ts_max_time 10 -ts_max_steps 6")])
+def test_what_to_type_next_is_beyond_all_limits(most, words):
+    options = {"ts_max_time": 5.0, "ts_max_steps": most, "given": ["scene"]}
+    summary = {"output": "out/pair", "ended": "finished", "options": options}
+    assert monitor.closing_lines(summary)[-1] == (
+        f"to go on            -restart latest -output out/pair {words}")
+
+
 def test_closing_lines_of_several_vesicles():
     last_row = {"inclination_0": 0.0, "inclination_1": 1.5707963267948966,
                 "treading_frequency_0": None, "treading_frequency_1": float("nan")}

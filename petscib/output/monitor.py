@@ -272,8 +272,9 @@ def closing_lines(summary):
     summary : dict
         The content of ``summary.json``; read are ``last_row`` (the last row of the diagnostics
         table), ``steps`` (number done by this run), ``total_seconds``, ``output`` (the folder),
-        ``phase_seconds`` (of which the set-up counts) and, in ``options``, ``flow``,
-        ``shear_rate`` and ``tether``. What is missing is left out.
+        ``phase_seconds`` (of which the set-up counts), ``ended`` and, in ``options``, ``flow``,
+        ``shear_rate``, ``tether``, ``ts_max_time`` and ``ts_max_steps``. What is missing is left
+        out.
 
     Returns
     -------
@@ -332,7 +333,10 @@ def _what_next(summary, options):
     lines = [f"{'look at':<20}" + ", ".join(os.path.join(folder, name) for name in look)]
     end = options.get("ts_max_time")
     if end is not None and summary.get("ended") == "finished":
-        lines.append(f"{'to go on':<20}-restart latest -output {folder} -ts_max_time {2 * end:g}")
+        on, most = f"-ts_max_time {2 * end:g}", options.get("ts_max_steps")
+        if most is not None:  # a restart refuses the limit that it has reached
+            on += f" -ts_max_steps {2 * most}"
+        lines.append(f"{'to go on':<20}-restart latest -output {folder} {on}")
         if not options.get("given"):
             lines.append(f"{'something else':<20}-scene list, -help, -stag_grid_x 128 -fft")
     return lines
