@@ -248,7 +248,9 @@ def opening_line(settings, steps):
         Those to come; infinite when nobody knows.
     """
     if settings.fft:
-        solvers = "transforms" + (" and CG" if settings.vesicles else "")
+        varies = any(one.viscosity_contrast != 1 for one in settings.each_vesicle())
+        method = " and FGMRES" if varies else " and CG" if settings.vesicles else ""
+        solvers = "transforms" + method
         others = "without -fft multigrid"
     elif SCHEMES[settings.scheme].coupled:
         solvers = "FGMRES with GAMG for velocity and pressure together"
@@ -256,8 +258,9 @@ def opening_line(settings, steps):
     else:
         solvers = "CG with GAMG for velocity, then for pressure"
         others = "-fft: transforms"
-    count = f"{steps:.0f} steps to t = {settings.ts_max_time:g}" if math.isfinite(steps) else (
-        f"steps to t = {settings.ts_max_time:g}")
+    count = f"{steps:.0f} steps" if math.isfinite(steps) else "steps"
+    if settings.ts_max_steps is None:
+        count += f" to t = {settings.ts_max_time:g}"
     return (
         f"{settings.scene}, {settings.stag_grid_x} x {settings.stag_grid_y} cells, "
         f"{settings.scheme} with dt = {settings.ts_dt:.4g}, {count}; {solvers} ({others})"
