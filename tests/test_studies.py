@@ -529,9 +529,12 @@ def test_gallery(campaign):
 
 def test_vesicles(campaign):
     study = campaign("vesicles")
-    rows = vesicles.study(study, 64, (1, 4), schemes=("mbe",))
+    rows = vesicles.study(study, 64, (1, 4), (1,), schemes=("mbe",), ranks=(1,))
     assert_results(study)
-    (scheme, one, markers, seconds, ratio, iterations, passes, gap), four = rows
-    assert (scheme, one, ratio, passes) == ("mbe", 1, 1.0, None)
-    assert four[1] == 4 and four[2] == 4 * markers and four[3] > 0 and four[5] > 0
-    assert four[4] == four[3] / seconds and 0 < four[7] < gap
+    one, four, grown = (dict(zip(vesicles.COLUMNS, row)) for row in rows)
+    assert (one["scheme"], one["vesicles"], one["over_one"]) == ("mbe", 1, 1.0)
+    assert one["tangent_passes"] is None
+    assert four["vesicles"] == 4 and four["markers"] == 4 * one["markers"]
+    assert four["over_one"] == four["step_seconds"] / one["step_seconds"]
+    assert four["iterations"] > 0 and 0 < four["min_gap"] < one["min_gap"]
+    assert (grown["cells"], grown["box"], grown["vesicles"]) == (32, 1, 16)
