@@ -44,7 +44,7 @@ def of_flow(settings, markers, curves=None):
     str
         A warning, or an empty text.
     """
-    if not len(markers):
+    if not len(markers) or settings.tether > 0:  # what is held is not carried
         return ""
     dt, (x, y) = settings.ts_dt, markers.T
     flow = settings.flow, x, y, settings.shear_rate, settings.domain
