@@ -63,16 +63,11 @@ class Simulation:
         installation.check()
         self._driver, self._entered, self._calls, self._table = None, [], [], {}
         try:
-            settings, scene = self._read(arguments or [], options)
-        except BaseException:
-            self._withdraw()
-            raise
-        self.settings = settings
-        named = {**scene.measures, **(measures or {})}
-        given = {name: lambda measure=measure: measure(self) for name, measure in named.items()}
-        try:
+            self.settings, scene = self._read(arguments or [], options)
+            named = {**scene.measures, **(measures or {})}
+            given = {name: lambda measure=measure: measure(self) for name, measure in named.items()}
             self._driver = Driver(
-                settings, PETSc.Comm(self.comm), interrupt, (*scene.laws, *laws), given,
+                self.settings, PETSc.Comm(self.comm), interrupt, (*scene.laws, *laws), given,
                 self._note)
         except BaseException:
             self._withdraw()
@@ -280,6 +275,8 @@ class Simulation:
             (n, m), the pressure; ``u_faces`` (n, m + 1) and ``v_faces`` (n + 1, m), the unknowns
             themselves, a column or row less where the box is periodic.  Copies.
         """
+        from .output import saved
+
         grid, state = self._driver.problem.grid, self._driver.state
         u, v = grid.velocity_blocks(state.velocity)
         p = grid.pressure_block(self._driver.shown.state(state).pressure)
@@ -292,11 +289,9 @@ class Simulation:
             for table, (box, values) in zip(whole, part):
                 table[box] = values
         u, v, p = whole
-        right = np.hstack((u, u[:, :1])) if grid.periodic[0] else u
-        top = np.vstack((v, v[:1])) if grid.periodic[1] else v
         x, y = grid.p_points()
-        return {"x": x.ravel(), "y": y.ravel(), "u": (right[:, 1:] + right[:, :-1]) / 2,
-                "v": (top[1:] + top[:-1]) / 2, "p": p, "u_faces": u, "v_faces": v}
+        centres = dict(zip("uv", saved.centre_velocity(u, v)))
+        return {"x": x.ravel(), "y": y.ravel(), **centres, "p": p, "u_faces": u, "v_faces": v}
 
     def _note(self, row):
         """Add a row to the table."""

@@ -140,28 +140,28 @@ class SceneName(Choice):
         return text if text.lower().endswith(".py") else super().parse(text)
 
 
-class Flow(Choice):
+class OrFunction:
+    """What another kind takes, or from a script a function (x, y, t); comes before that kind."""
+
+    def parse(self, text):
+        """The value of a text or a callable; a ValueError says what is wrong with it."""
+        if callable(text):
+            return text if isinstance(text, Function) else Function(text, self.option)
+        if text.startswith("function "):
+            raise ValueError("known only to the script that has it")
+        return super().parse(text)
+
+
+class Flow(OrFunction, Choice):
     """A flow's name, or from a script a function (x, y, t) -> (u, v)."""
 
-    def parse(self, text):
-        """The value of a text or a callable; a ValueError says what is wrong with it."""
-        if callable(text):
-            return text if isinstance(text, Function) else Function(text, "flow")
-        if text.startswith("function "):
-            raise ValueError("known only to the script that has it")
-        return super().parse(text)
+    option = "flow"
 
 
-class Force(Numbers):
+class Force(OrFunction, Numbers):
     """A uniform force, or from a script a function (x, y, t) -> (fx, fy)."""
 
-    def parse(self, text):
-        """The value of a text or a callable; a ValueError says what is wrong with it."""
-        if callable(text):
-            return text if isinstance(text, Function) else Function(text, "body_force")
-        if text.startswith("function "):
-            raise ValueError("known only to the script that has it")
-        return super().parse(text)
+    option = "body_force"
 
 
 @dataclass(frozen=True)

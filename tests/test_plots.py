@@ -248,7 +248,7 @@ def test_vorticity_and_centre_velocity_are_exact_for_linear_flows():
     np.testing.assert_allclose(vorticity, np.full((n + 1, m + 1), -2.5), atol=1e-13)
     np.testing.assert_allclose(x_lines, x, atol=1e-14)
     np.testing.assert_allclose(y_lines, y, atol=1e-14)
-    centre_u, centre_v = saved.centre_velocity(fields)
+    centre_u, centre_v = saved.centre_velocity(u, v)
     assert centre_u.shape == centre_v.shape == (n, m)
     np.testing.assert_allclose(centre_u[:, 0], y[1:] + y[:-1])
 

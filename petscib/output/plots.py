@@ -273,7 +273,7 @@ def plot_fields(folder, output=None):
     height = rows * (panel_width * (d - c) / (b - a) + 0.5) + 0.4
     with picture(_path(folder, output, "fields.png"), width, height) as figure:
         axes = figure.subplots(rows, columns, sharex=True, sharey=True)
-        u, v = saved.centre_velocity(fields)
+        u, v = saved.centre_velocity(fields.u, fields.v)
         speed = np.hypot(u, v)
         image = axes[0].imshow(
             speed, origin="lower", extent=fields.domain, cmap=_light_blues(), vmin=0,

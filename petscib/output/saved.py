@@ -152,18 +152,18 @@ def _to_its_end(X, period):
     return X if period is None else np.append(X, X[:1] + period, axis=0)
 
 
-def centre_velocity(fields):
-    """Velocity at the cell centres, two arrays of shape (n, m)."""
-    u, v = _with_last_faces(fields)
+def centre_velocity(u, v):
+    """Velocity at the cell centres, two arrays of shape (n, m), from that at the faces."""
+    u, v = _with_last_faces(u, v)
     return 0.5 * (u[:, 1:] + u[:, :-1]), 0.5 * (v[1:] + v[:-1])
 
 
-def _with_last_faces(fields):
+def _with_last_faces(u, v):
     """u of shape (n, m+1) and v of shape (n+1, m), also on a periodic box."""
-    u, v = fields.u, fields.v
-    if u.shape[1] == v.shape[1]:
+    n, m = u.shape[0], v.shape[1]
+    if u.shape[1] == m:
         u = np.concatenate([u, u[:, :1]], axis=1)
-    if v.shape[0] == u.shape[0]:
+    if v.shape[0] == n:
         v = np.concatenate([v, v[:1]], axis=0)
     return u, v
 
@@ -181,7 +181,7 @@ def corner_vorticity(fields):
     side have a neighbour across it.
     """
     a, b, c, d = fields.domain
-    u, v = _with_last_faces(fields)
+    u, v = _with_last_faces(fields.u, fields.v)
     n, m = u.shape[0], v.shape[1]
     dx, dy = (b - a) / m, (d - c) / n
     periodic_x, periodic_y = _is_periodic(fields)
