@@ -239,7 +239,9 @@ class Problem:
             on_root(self.grid.comm.tompi4py(), lambda: guard.check_markers(self, markers))
             stresses = None
             if self.viscosity is not None and self.slips:
-                stresses = StressInterpolation(self.viscosity, self.kernel, markers)
+                places = mobility.stress_places(
+                    self.membranes.curves, markers, self.grid, self.mu, self.viscosity.inner)
+                stresses = StressInterpolation(self.viscosity, self.kernel, places)
             return Interpolation(self.grid, self.kernel, markers, stresses)
 
     def operators_between(self, before, after, interpolation):

@@ -20,6 +20,7 @@ from test_schemes import (
     assert_same,
 )
 
+import petscib
 from petscib import options, turning
 from petscib.coupling import kink
 from petscib.coupling.kernels import KERNELS
@@ -117,8 +118,9 @@ def corners_of(grid, cells):
 def viscosities(grid, kernel, markers, ds, outer, inner):
     """mu at the cells, twice, and at the corners."""
     inside = indicator(grid, kernel, markers, ds)
-    cells = 1 / ((1 - inside) / outer + inside / inner)
-    return np.concatenate((cells, cells, corners_of(grid, cells.reshape(grid.n, grid.m)).ravel()))
+    cells = (1 - inside) / outer + inside / inner
+    corners = corners_of(grid, cells.reshape(grid.n, grid.m)).ravel()
+    return 1 / np.concatenate((cells, cells, corners))
 
 
 def weights(grid):
@@ -150,29 +152,73 @@ def stress_at(grid, kernel, markers, mu, strain):
     return np.array(rows)
 
 
+@cache
+def factors(kernel, stiff, soft):
+    """C', the share read beyond the stress, and its work, at 0 and 45 degrees: means over all
+    places of a straight membrane between the grid's lines.
+
+    1 / mu goes from `stiff` to `soft` along x, the stress is read at - 0.25.
+    """
+    fine = 400
+    x = np.arange(-6 * fine, 6 * fine + 1) / fine
+    across, along = kernel.across(x), kernel.along(x)
+
+    def seen(one, other):
+        return np.convolve(one, other, "same") / fine
+
+    def lattice(values, first):
+        """Mean over offsets of sums over lines: by all lines first + j."""
+        return values[(np.arange(len(x)) - first) % fine == 0].sum()
+
+    found = []
+    for read, velocity, normals, ahead, stretch in (
+            (across, across, along, fine // 2, 1.0),
+            (seen(across, across), seen(along, across), seen(along, across), 0, np.sqrt(2))):
+        apart = seen(velocity, normals)
+        middle = 3 * fine * 2 % fine
+        distance = lattice(np.abs(x) * apart, middle + ahead) / stretch
+        # Cells are half a line beyond the faces of normals; corners lie between two cells.
+        cell = sum(np.roll(normals, fine // 2 + k * fine) for k in range(6))
+        passed = cell if stretch > 1 else (np.roll(cell, fine // 2) + np.roll(cell, -fine // 2)) / 2
+        shift = round(0.25 * stretch * fine)
+        reading = np.roll(read, -shift)
+        beyond = seen(velocity, reading[::-1])  # over the distance from the stress to the velocity
+        share = lattice(np.where(x > 0, beyond, 0.0), middle + fine // 2)
+        work = stretch * np.sum(reading**2 / (stiff + (soft - stiff) * passed)) / fine
+        found.append((distance, share - 0.5, work))
+    return np.array(found).T
+
+
 def corrected(grid, kernel, markers, middle, ds, constants, outer, inner, mu):
     """J' at `markers`, with tangents and normals of `middle`, and K for forces per ds."""
     matrix = dense.interpolation(grid, kernel, markers)
     count, table = len(markers), np.zeros((2 * len(markers), 2 * len(markers)))
-    stresses = stress_at(grid, kernel, markers, mu, strain_matrix(grid))
-    turn = np.sign(dense.area(middle))
-    r = np.linspace(-kernel.across_radius, kernel.across_radius, 20001)
-    delta = kernel.across(r)
-    passed = np.concatenate(([0], np.cumsum((delta[1:] + delta[:-1]) / 2 * np.diff(r))))
-    work = np.trapezoid if hasattr(np, "trapezoid") else np.trapz
-    work = work(delta**2 / (1 / inner + (1 / outer - 1 / inner) * passed), r)
+    turn, jump = np.sign(dense.area(middle)), 1 / outer - 1 / inner
+    places = np.empty_like(markers)
+    for k in range(count):
+        chord = markers[(k + 1) % count] - markers[k - 1]
+        n = np.sign(dense.area(markers)) * np.array([chord[1], -chord[0]]) / np.hypot(*chord)
+        away = 0.25 * np.hypot(n[0] * grid.dx, n[1] * grid.dy)
+        places[k] = markers[k] - np.sign(jump) * away * n
+    stresses = stress_at(grid, kernel, places, mu, strain_matrix(grid))
+    # To round-off; `factors` has them in another way, with fewer digits.
+    straight = np.array((kink.contrast_constants(kernel), kink.stress_ahead(kernel),
+                         kink.stress_work(kernel, *sorted((1 / outer, 1 / inner)))))
     for k in range(count):
         chord = middle[(k + 1) % count] - middle[k - 1]
         t = chord / np.hypot(*chord)
         n = turn * np.array([t[1], -t[0]])
         h = np.hypot(n[0] * grid.dx, n[1] * grid.dy)
         m = n * (grid.dx, grid.dy) / h
-        c = (constants[0] + 4 * (constants[1] - constants[0]) * (m[0] * m[1]) ** 2) * h / 2
-        jump = 1 / outer - 1 / inner
+        part = 4 * (m[0] * m[1]) ** 2
+        slip = (1 - part) * constants[0] + part * constants[1]
+        slip *= h / 2 * (1 / outer + 1 / inner) / 2
+        c, ahead, work = straight @ (1 - part, part)
+        c *= h / 2
         xx, yy, xy = stresses[k]
         shear = t[0] * n[0] * xx + t[1] * n[1] * yy + (t[0] * n[1] + t[1] * n[0]) * xy
         matrix[2 * k : 2 * k + 2] -= c * jump * np.outer(t, shear)
-        slip = max(0.0, c * (1 / outer + 1 / inner) / 2 - c**2 * jump**2 * work / h)
+        slip = max(0.1 * slip, slip + 2 * ahead * c * abs(jump) - c**2 * jump**2 * work / h)
         stretching = np.hypot(*chord) / (2 * ds)
         table[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = slip / stretching * np.outer(t, t)
     return matrix, table
@@ -301,14 +347,24 @@ def test_without_contrast_nothing_is_other():
 
 @pytest.mark.parametrize("name", KERNELS)
 def test_slip_stays_in_the_direction_of_the_force(name):
+    """Up to a contrast of 30 without LEAST_SLIP."""
     kernel = KERNELS[name]
-    half = kink.constants(kernel)[0] / 2
-    for contrast in (0.01, 0.1, 10, 1000):
-        work = kink.stress_work(kernel.across, kernel.across_radius, 1 / contrast, 1.0)
-        mean, jump = (1 + 1 / contrast) / 2, 1 - 1 / contrast
-        assert 0 < half * mean - (half * jump) ** 2 * work < half * mean
-        assert kink.stress_work(
-            kernel.across, kernel.across_radius, 1.0, 1 / contrast) == pytest.approx(work)
+    for contrast in (5, 30):
+        parts = zip(kink.constants(kernel), kink.contrast_constants(kernel),
+                    kink.stress_ahead(kernel), kink.stress_work(kernel, 1 / contrast, 1.0))
+        for straight, other, ahead, work in parts:
+            half, jump = other / 2, 1 - 1 / contrast
+            slip = straight / 2 * (1 + 1 / contrast) / 2
+            assert slip + 2 * ahead * half * jump - (half * jump) ** 2 * work > 0.17 * slip
+
+
+@pytest.mark.parametrize("name", KERNELS)
+def test_factors_are_means_over_all_places_of_a_membrane(name):
+    kernel = KERNELS[name]
+    expected = factors(kernel, 0.1, 1.0)
+    assert_same(np.array(kink.contrast_constants(kernel)), expected[0], 1e-4)
+    assert_same(np.array(kink.stress_ahead(kernel)), expected[1], 5e-3)
+    assert_same(np.array(kink.stress_work(kernel, 0.1, 1.0)), expected[2], 5e-3)
 
 
 # ---------------------------------------------------------------- steps
@@ -496,11 +552,34 @@ def test_angles_are_counted_through_half_turns():
 def test_a_treading_vesicle_is_near_the_truth(tmp_path, contrast, angle, frequency):
     """Axes 0.25 x 0.5 on 32 x 32; uncorrected, the angle is wrong by up to 3.2e-2."""
     summary = run(tmp_path, scene="tanktreading", axes="0.25,0.5", viscosity_contrast=str(contrast),
-                  stag_grid_x="32", delta="yang", fft="yes", ts_dt="0.1",
+                  stag_grid_x="32", delta="bspline43", fft="yes", ts_dt="0.1",
                   ts_max_time="10" if contrast > 1 else "5")
     row = summary["last_row"]
-    assert row["inclination"] / np.pi == pytest.approx(angle, abs=5.5e-3)
-    assert row["treading_frequency"] == pytest.approx(frequency, rel=0.05)
+    assert row["inclination"] / np.pi == pytest.approx(angle, abs=4e-3)
+    assert row["treading_frequency"] == pytest.approx(frequency, rel=0.03)
+
+
+# Turning speed of a level ellipse 0.5 x 0.25 at once, without inertia and bending, by boundary
+# integrals (single layers on the membrane, double layers on it and on the walls; 97 points with
+# Kress's quadrature, walls with panels of 12 Gauss points halved 12 times towards the corners).
+AT_ONCE = {0.2: 0.64394, 5: 0.15015, 18: 0.00963}
+
+
+@pytest.mark.parametrize("contrast, most", [(0.2, 1.3e-2), (5, 1.2e-3), (18, 2.5e-3)])
+def test_turning_speed_converges_to_that_of_sharp_viscosity(contrast, most):
+    """On 32 x 32 and 64 x 64; of first order, the second would be half of the first at least."""
+    errors = []
+    for cells in (32, 64):
+        simulation = petscib.Simulation(
+            scene="tanktreading", axes=(0.25, 0.5), angle=-90.0, stag_grid_x=cells, scheme="be",
+            ts_dt=1e-3, ts_max_steps=1, rho=1e-8, sigma0=1e11, bending=0.0, fft=True,
+            delta="bspline43", viscosity_contrast=contrast)
+        simulation.run()
+        before, after = simulation.diagnostics["inclination"]
+        errors.append(abs((after - before) / 1e-3 - AT_ONCE[contrast]))
+        simulation.close()
+    assert errors[1] < most
+    assert errors[1] < 0.35 * errors[0]
 
 
 @pytest.mark.parametrize("equations, scheme", [("coupled", "be"), ("momentum", "mbe")])
@@ -534,7 +613,7 @@ def test_bad_input(words, says):
         options.read(words)
 
 
-@pytest.mark.parametrize("delta, more", [("yang", 0.5), ("bspline43", 0.0)])
+@pytest.mark.parametrize("delta, more", [("yang", 0.75), ("bspline43", 0.25)])
 def test_stresses_reach_further_to_the_walls(delta, more):
     reach = KERNELS[delta].reach + more
     words = {"delta": delta, "axes": "0.3,0.3", "viscosity_contrast": "2"}

@@ -78,14 +78,14 @@ def test_rule_between_the_two_directions(name):
     *_, bound = PRINTED[name]
     for degrees in (10.0, 22.5, 35.0, 60.0):
         angle = np.deg2rad(degrees)
-        found = thickness(KERNELS[name], np.array([np.cos(angle), np.sin(angle)]))
+        found = thickness(constants(KERNELS[name]), np.array([np.cos(angle), np.sin(angle)]))
         assert abs(found - integral(KERNELS[name], angle)) < bound
 
 
 def test_rule_takes_an_array_of_normals_and_is_even_and_symmetric():
     kernel = KERNELS["bspline43"]
     normals = np.array([[1, 0], [0, -1], [0.6, 0.8], [-0.8, 0.6], [0.5**0.5, -(0.5**0.5)]])
-    found = thickness(kernel, normals)
+    found = thickness(constants(kernel), normals)
     assert found[0] == found[1] == constants(kernel)[0]
     assert found[2] == pytest.approx(found[3], rel=1e-14)
     assert found[4] == pytest.approx(constants(kernel)[1], rel=1e-14)

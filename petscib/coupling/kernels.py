@@ -10,6 +10,13 @@ from typing import Callable
 
 import numpy as np
 
+# How far on the more viscous side of a membrane its stress is read, in grid spacings.  Thereby the
+# slip that is left with a contrast (`membranes.mobility.ContrastSlip`) stays positive: at contrasts
+# of 18 and 30 it is 0.44 to 0.51 and 0.18 to 0.34 of that without the stresses' part, over kernels
+# and directions; at the membrane itself -0.20 to 0.36 and -0.33 to 0.25, half a cell away 0.13 to
+# 0.68 and -0.59 to 0.32 (`kink.stress_work`; tests/test_contrast.py).
+STRESS_SHIFT = 0.25
+
 
 def yang(r):
     """Smoothed four-point function, support |r| < 2.5 (Yang, Zhang, Li & He 2009)."""
@@ -79,7 +86,7 @@ class Kernel:
     @property
     def stress_reach(self):
         """The same where stresses are interpolated too: from faces half a cell further away."""
-        return max(self.reach, self.across_radius + 0.5)
+        return max(self.reach, self.across_radius + 0.5 + STRESS_SHIFT)
 
 
 def _isotropic(weight, radius):

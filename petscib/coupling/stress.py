@@ -3,13 +3,18 @@
 The smoothed viscosity lets the fluid beside the membrane be sheared more on one side and less on
 the other than it should: with the shear stress s = t . (2 mu e) n at the membrane, the same on both
 sides but for the force, the markers' velocity is wrong by c (1 / mu_o - 1 / mu_i) s along the
-tangent t, c = C h_n / 2 as in `kink`.  It is subtracted in interpolation, and in spreading too,
-which keeps both adjoint:
+tangent t.  It is subtracted in interpolation, and in spreading too, which keeps both adjoint and
+undoes the slip between both fluids that a smoothed force makes in the smoothed viscosity:
 
     J' = J - c (1 / mu_o - 1 / mu_i) t Q,    Q u = t . (2 mu e(u)) n,
 
-with n the outward normal.  Q interpolates with the kernel's function across a component, at cells
-and corners alike; for kernels that are a product of one function with itself, it is the kernel.
+with n the outward normal.  c = C' h_n / 2 with a factor C' like C of `kink`, but for velocities at
+faces and a viscosity that changes at faces with the kernel of the normals, and is used at cells and
+corners (`kink.contrast_constants`).  With C itself all is of first order only.
+
+Q interpolates with the kernel's function across a component, at cells and corners alike (for
+kernels that are a product of one function with itself, it is the kernel), at places a little on
+the more viscous side of the membrane (`kernels.STRESS_SHIFT`).
 """
 
 import numpy as np
@@ -28,13 +33,13 @@ class StressInterpolation:
     viscosity : Viscosity
         With the present viscosity.
     kernel : Kernel
-    markers : ndarray, shape (M, 2)
-        On rank 0; shape (0, 2) elsewhere.
+    places : ndarray, shape (M, 2)
+        Where the stress is read for each marker, on rank 0; shape (0, 2) elsewhere.
     """
 
-    def __init__(self, viscosity, kernel, markers):
+    def __init__(self, viscosity, kernel, places):
         strain, grid = viscosity.strain, viscosity.grid
-        weigh = self._weights(strain, kernel, markers)
+        weigh = self._weights(strain, kernel, places)
         rates = strain.matrix.copy()
         rates.diagonalScale(L=viscosity.stresses)
         self.matrix = weigh.matMult(rates)
@@ -44,28 +49,29 @@ class StressInterpolation:
         self._area = grid.cell_area
 
     @staticmethod
-    def _weights(strain, kernel, markers):
+    def _weights(strain, kernel, places):
         """The interpolation of strain rates."""
         grid, radius = strain.grid, kernel.across_radius
         a, _, c, _ = grid.domain
-        places = np.stack(((markers[:, 0] - a) / grid.dx, (markers[:, 1] - c) / grid.dy))
-        periods = [count if wraps else None
-                   for count, wraps in zip((grid.m, grid.n), grid.periodic)]
+        count = len(places)
+        lattice = np.stack(((places[:, 0] - a) / grid.dx, (places[:, 1] - c) / grid.dy))
+        periods = [cells if wraps else None
+                   for cells, wraps in zip((grid.m, grid.n), grid.periodic)]
         columns, values = [], []
         lines = {}
         for shift in (0.5, 0.0):
-            x, y = Stencil.lines(places - shift, kernel.across, radius, periods)
+            x, y = Stencil.lines(lattice - shift, kernel.across, radius, periods)
             lines[shift] = Stencil.product(y, x)
         for index, shift in ((strain.x_index, 0.5), (strain.y_index, 0.5),
                              (strain.corner_index, 0.0)):
             rows, cols, weights = lines[shift]
-            count = weights.shape[1] * weights.shape[2]
-            columns.append(index[rows, cols].reshape(len(markers), count))
-            values.append(weights.reshape(len(markers), count))
+            width = weights.shape[1] * weights.shape[2]
+            columns.append(index[rows, cols].reshape(count, width))
+            values.append(weights.reshape(count, width))
         columns, values = np.stack(columns, axis=1), np.stack(values, axis=1)
-        starts = np.arange(3 * len(markers) + 1) * columns.shape[2]
+        starts = np.arange(3 * count + 1) * columns.shape[2]
         matrix = PETSc.Mat().createAIJ(
-            ((3 * len(markers), PETSc.DETERMINE), strain.weights.getSizes()),
+            ((3 * count, PETSc.DETERMINE), strain.weights.getSizes()),
             csr=(starts.astype(PETSc.IntType), columns.ravel().astype(PETSc.IntType),
                  values.ravel()),
             comm=grid.comm)

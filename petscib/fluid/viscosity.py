@@ -9,7 +9,8 @@ with I = 0 in a corner of the box, cut off at 0 and 1.  The viscosity is the har
 
     1 / mu = (1 - I) / mu_o + I / mu_i
 
-at cells, and the mean of four of them at corners.  Viscous forces are
+at cells; at corners 1 / mu is the mean of four, so that a shear across the grid's lines meets as
+much of 1 / mu as a sharp membrane would give it.  Viscous forces are
 
     mu_min Laplacian u - E^T D (E u + e_walls),    D = weights (mu - mu_min),
 
@@ -93,9 +94,10 @@ class Viscosity:
             fluidity += (1 / value - 1 / self.outer) * indicator
         # Where membranes come near each other, the sum of their indicators may be above 1.
         self.cells.getArray()[:] = np.clip(fluidity, 1 / self.most, 1 / self.least)
+        self._to_strain.mult(self.cells, self.stresses)
+        self.stresses.reciprocal()
         self.cells.reciprocal()
-        for means, mu in ((self._to_faces, self.faces), (self._to_strain, self.stresses)):
-            means.mult(self.cells, mu)
+        self._to_faces.mult(self.cells, self.faces)
         weights = self.strain.weights
         self.stresses.copy(self._excess)
         self._excess.shift(-self.least)

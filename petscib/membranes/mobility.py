@@ -8,7 +8,13 @@ the area a membrane encloses is left out.
 import numpy as np
 
 from ..coupling import kink
+from ..coupling.kernels import STRESS_SHIFT
 from .geometry import signed_area
+
+# Least share of the kink correction that is left with a contrast, from which solvers live: without
+# one, steps at contrasts of 100 and 1000 took 160 and 700 to 1000 iterations, with this 40 and 75
+# (the table of docs/contrast.md); it acts above contrasts of 70 only.
+LEAST_SLIP = 0.1
 
 
 class Slip:
@@ -31,8 +37,6 @@ class Slip:
     ----------
     tangent : ndarray, shape (M, 2)
         t.
-    thickness : ndarray, shape (M,)
-        c = C h_n / 2.
     length : ndarray, shape (M,)
         What of the curve a marker stands for, |X_s| ds.
     mobility : ndarray, shape (M,)
@@ -48,9 +52,9 @@ class Slip:
         self.length = length * np.where(ends, 1.0, 0.5)
         scaled = self.tangent[:, ::-1] * (grid.dx, grid.dy)  # the normal, but for signs
         self.spacing = np.hypot(*scaled.T)
-        factor = kink.thickness(kernel, scaled / self.spacing[:, None])
-        self.mobility = factor * self.spacing / (2 * mu * self.length)
-        self.thickness = factor * self.spacing / 2
+        self._directions = scaled / self.spacing[:, None]
+        thickness = kink.thickness(kink.constants(kernel), self._directions) * self.spacing / 2
+        self.mobility = thickness / (mu * self.length)
 
     def velocity(self, force):
         """K f, shape (M, 2), for a force on the markers (per marker, not per ds)."""
@@ -61,9 +65,10 @@ class Slip:
 class ContrastSlip(Slip):
     """The kink correction where the viscosity inside is another, with what J' needs.
 
-    K = max(0, c (1 / mu_o + 1 / mu_i) / 2 - c^2 (1 / mu_o - 1 / mu_i)^2 int mu delta^2) t t^T
-    over |X_s|: the second term is the answer to the stresses that J' spreads (see
-    `coupling.stress`), c = C h_n / 2.
+    K = k + 2 b c |1 / mu_o - 1 / mu_i| - c^2 (1 / mu_o - 1 / mu_i)^2 W / h_n, times t t^T / |X_s|.
+    k = C h_n / 2 (1 / mu_o + 1 / mu_i) / 2 is the kink correction for the mean of both sides, c that
+    of J' (see `coupling.stress`), and the rest the answer to the stresses that J' spreads:
+    b = `kink.stress_ahead`, W = `kink.stress_work`.  At least LEAST_SLIP of k is left.
 
     Parameters
     ----------
@@ -84,16 +89,47 @@ class ContrastSlip(Slip):
 
     def __init__(self, curves, markers, grid, kernel, outer, inner):
         inner = inner[: curves.count]  # none where there are no markers
-        work = np.array([
-            kink.stress_work(kernel.across, kernel.across_radius, 1 / value, 1 / outer)
-            for value in inner])
         super().__init__(curves, markers, grid, kernel,
                          curves.spread(2 / (1 / outer + 1 / inner)))
         side = curves.spread(np.sign(signed_area(markers, curves)))
         self.normal = side[:, None] * self.tangent[:, ::-1] * (1, -1)
-        self.per_stress = self.thickness * curves.spread(1 / outer - 1 / inner)
-        answered = self.per_stress**2 * curves.spread(work) / self.spacing
-        self.mobility = np.maximum(self.mobility - answered / self.length, 0.0)
+        straight, diagonal = curves.spread(np.array([
+            kink.stress_work(kernel, *sorted((1 / value, 1 / outer))) for value in inner
+        ]).reshape(-1, 2)).T
+        thickness, ahead, work = (
+            kink.thickness(constants, self._directions) for constants in (
+                kink.contrast_constants(kernel), kink.stress_ahead(kernel), (straight, diagonal)))
+        self.per_stress = (
+            thickness * self.spacing / 2 * curves.spread(1 / outer - 1 / inner))
+        answered = (2 * ahead * np.abs(self.per_stress)
+                    - self.per_stress**2 * work / self.spacing)
+        self.mobility = np.maximum(
+            self.mobility + answered / self.length, LEAST_SLIP * self.mobility)
+
+
+def stress_places(curves, markers, grid, outer, inner):
+    """Where the stress at each marker is read: a little on the more viscous side of the membrane.
+
+    Parameters
+    ----------
+    curves : Curves
+    markers : ndarray, shape (M, 2)
+    grid : Grid
+    outer : float
+    inner : ndarray, shape (V,)
+        Viscosities.
+
+    Returns
+    -------
+    ndarray, shape (M, 2)
+    """
+    chord = curves.chords(markers)
+    normal = np.stack((chord[:, 1], -chord[:, 0]), axis=1)
+    normal /= np.hypot(*chord.T)[:, None]
+    spacing = np.hypot(normal[:, 0] * grid.dx, normal[:, 1] * grid.dy)
+    outward = curves.spread(
+        np.sign(signed_area(markers, curves)) * np.sign(outer - inner[: curves.count]))
+    return markers + (STRESS_SHIFT * outward * spacing)[:, None] * normal
 
 
 class AreaProjector:

@@ -44,10 +44,10 @@ def main(arguments=None):
               free_contrasts=(1.0, 3.0), tumbling=(48,), critical=(32, 48), close=0.2,
               areas=(0.7, 0.9), mapped=(1.0, 16.0), map_cells=48, strain=8.0, time_limit=120)
     else:
-        study(campaign, curve=(32, 48, 64, 96), contrasts=CONTRASTS, free=(96, 144, 192),
-              free_contrasts=tuple(FREE), tumbling=(64, 96, 128), critical=(48, 72), close=CLOSE,
+        study(campaign, curve=(32, 48, 64), contrasts=CONTRASTS, free=(64, 96, 128),
+              free_contrasts=tuple(FREE), tumbling=(64, 96), critical=(48, 72), close=CLOSE,
               areas=(0.5, 0.6, 0.7, 0.8, 0.9, 0.97), mapped=(1.0, 2.0, 4.0, 8.0, 16.0, 32.0),
-              map_cells=64, strain=STRAIN, time_limit=3600)
+              map_cells=48, strain=STRAIN, time_limit=3600)
     return campaign.exit_status
 
 
