@@ -29,6 +29,7 @@ PERIMETER = 1.4  # of the vesicles in the map
 TREADS, TUMBLES = "treads", "tumbles"
 LEVEL_STRAIN = 16.0  # of runs that start level, after which the membrane has found its shape
 LEVEL = 0.05  # angle / pi at the start, below which a vesicle has started level
+LOST = -0.1  # angle / pi past which a vesicle from a level start has tumbled
 BELOW = -0.02  # angle / pi past which a vesicle from an upright start tumbles
 STEADY = 2e-3  # turning speed of one at rest
 COLUMNS = ("part", "rx", "ry", "reduced_area", "contrast", "cells", "box", "status", "regime",
@@ -163,7 +164,7 @@ def regime(time, angle):
     """
     late = time >= 0.75 * time[-1]
     speed = np.pi * (angle[-1] - angle[late][0]) / (time[-1] - time[late][0])
-    if angle[0] < LEVEL:
+    if angle[0] < LEVEL and angle.min() > LOST:
         return TREADS if 1 + 2 * speed > np.cos(2 * np.pi * angle[late].mean()) else TUMBLES
     if angle.min() < BELOW:
         return TUMBLES
