@@ -10,7 +10,7 @@ from .agreement import on_root
 from .coupling.interpolation import Interpolation
 from .coupling.stress import CorrectedInterpolation, StressInterpolation
 from .events import phase
-from .fluid.force import BodyForce
+from .fluid.body_force import BodyForce
 from .membranes import mobility
 from .membranes.gaps import Gaps
 from .solvers.markers import MarkerOperators

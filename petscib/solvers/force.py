@@ -16,6 +16,7 @@ from scipy.sparse import csr_matrix
 
 from ..events import phase
 from . import krylov
+from .iteration import REDUCTION, ROUND_OFF, Iteration
 from .model import MarkerModel
 
 MARGIN = 1  # cells around the faces that the markers see, for them to move in
@@ -23,10 +24,6 @@ MARGIN = 1  # cells around the faces that the markers see, for them to move in
 # The error is measured by the power that the forces of the first guess exert.  Where that turns out
 # to have been so many times too large, the solve goes on.
 MUCH_LESS, MOST_ATTEMPTS = 0.1, 3
-ROUND_OFF = 1e-14
-# What a pass of the tangent iteration must make of its residual at least: were it content with the
-# last pass's answer, the iteration would learn nothing, and its acceleration go astray.
-REDUCTION = 0.1
 
 # Less accurate solves would be little cheaper, and show in the energy law; and many iterations are
 # cheap too, where a membrane that nearly touches itself needs them.
@@ -107,7 +104,7 @@ class Near:
         self._scatter.destroy()
 
 
-class Force:
+class Force(Iteration):
     """Conjugate gradients for the stresses.  Collective.
 
     Parameters
@@ -231,8 +228,8 @@ class Force:
                 tolerance = max(min(accuracy * exerted, REDUCTION * left), ROUND_OFF * loaded)
             with krylov.tolerances(self.ksp, 0.0, tolerance):
                 iterations += krylov.solve(
-                    self.ksp, self._load, self._change, self.fluid.name, krylov.advice(self.ksp),
-                    self.model.direct)
+                    self.ksp, self._load, self._change, self.fluid.name,
+                    inner=self.model.direct)
             stress = stress + self._change.getArray(readonly=True)
             if accuracy is None:
                 break

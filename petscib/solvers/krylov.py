@@ -139,7 +139,7 @@ def reason_name(ksp):
     return _REASONS.get(reason, f"reason {reason}")
 
 
-def advice(ksp):
+def more_iterations(ksp):
     """What the user can try when it has not converged."""
     prefix = ksp.getOptionsPrefix()
     return f"a larger -{prefix}ksp_max_it may help, -{prefix}ksp_monitor shows more"
@@ -156,7 +156,7 @@ def tolerances(ksp, rtol=None, atol=None):
         ksp.setTolerances(rtol=usual[0], atol=usual[1])
 
 
-def solve(ksp, rhs, solution, what, advice, inner=None):
+def solve(ksp, rhs, solution, what, advice=None, inner=None):
     """Solve, from the values in `solution` unless they are no use.  Collective.
 
     After a long step the last state can be so many orders too large a guess that PETSc takes it
@@ -168,8 +168,8 @@ def solve(ksp, rhs, solution, what, advice, inner=None):
     rhs, solution : PETSc.Vec
     what : str
         Which solve it is, for the message.
-    advice : str
-        What the user can try.
+    advice : str, optional
+        What the user can try, if not more iterations.
     inner : Cholesky, optional
         The first rank's part of the preconditioner, which may be to blame.
 
@@ -199,6 +199,6 @@ def solve(ksp, rhs, solution, what, advice, inner=None):
             )
         raise SolveError(
             f"{what} solve failed: {reason_name(ksp)} after {ksp.getIterationNumber()} "
-            f"iterations; {advice}"
+            f"iterations; {advice or more_iterations(ksp)}"
         )
     return ksp.getIterationNumber()

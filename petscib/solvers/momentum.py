@@ -135,7 +135,7 @@ class Momentum:
                 self.matrix, self.prefix + "velocity_", VELOCITY_DEFAULTS)
         self._inner.setOperators(self.matrix)
         velocity.set(0.0)
-        krylov.solve(self._inner, rhs, velocity, "velocity", krylov.advice(self._inner))
+        krylov.solve(self._inner, rhs, velocity, "velocity")
 
     def view(self, viewer):
         """Show what preconditions."""

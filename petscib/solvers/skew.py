@@ -19,6 +19,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from ..errors import SolveError
+from .iteration import Iteration
 
 DEFAULTS = {"ksp_rtol": 1e-6, "ksp_max_it": 200}  # 1e-7 takes two solves more, 1e-8 four
 # Of the accuracy asked for with moving membranes: those are a small part of the fluid.
@@ -74,12 +75,12 @@ def _balance(now, last, residual, earlier, both):
     return -2 * own / (slope + np.copysign(np.sqrt(root), slope)), 0.0
 
 
-class Skew:
+class Skew(Iteration):
     """Iteration for the system with advection.  Collective.
 
     Parameters
     ----------
-    inner : Force or Alone
+    inner : Force or AloneExact
         Solves the system without it.
     fluid : Momentum or Stokes
         With an advection.  Under its options prefix, with "advection_" added, are the tolerance
@@ -99,7 +100,7 @@ class Skew:
 
     def begin(self, rhs, stage):
         """Take right-hand side and first guess."""
-        self.rhs, self.stage = rhs, stage
+        super().begin(rhs, stage)
         self.inner.begin(rhs, stage)
 
     def update(self, interval, operators, stress):
@@ -166,21 +167,9 @@ class Skew:
         self.stage.stress = iterate.stress
         return iterations
 
-    def marker_velocity(self):
-        """U of the last solution, or None without markers."""
-        operators, stress = self.operators, self.stage.stress
-        if operators is None:
-            return None
-        velocity = operators.interpolate(self.stage.velocity)
-        return velocity if stress is None else velocity + operators.slip_velocity(
-            operators.force(stress))
-
     def forget(self):
         """Drop what depends on earlier steps."""
         self.inner.forget()
-
-    def finish(self):
-        """Nothing is left to do."""
 
     def destroy(self):
         """Free the solver.  Collective."""

@@ -5,7 +5,7 @@ from petsc4py import PETSc
 
 from ...fluid.operators import assemble
 from .bases import X, Y, corner_bases, given_places, velocity_fields
-from .poisson import PoissonTransform
+from .diagonal import PoissonTransform
 from .slabs import Slabs, transform
 from .stream import Spectrum
 from .windows import extent
