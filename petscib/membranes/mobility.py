@@ -62,7 +62,7 @@ class ContrastSlip(Slip):
     """The kink correction where the viscosity inside is another, with what J' needs.
 
     K = max(0, c (1 / mu_o + 1 / mu_i) / 2 - c^2 (1 / mu_o - 1 / mu_i)^2 int mu delta^2) t t^T
-    over |X_s|: the second term is the answer to the stresses that J' spreads (see
+    over |X_s|: the second term is the slip that the stresses which J' spreads make up for (see
     `coupling.stress`), c = C h_n / 2.
 
     Parameters
@@ -92,8 +92,8 @@ class ContrastSlip(Slip):
         side = curves.spread(np.sign(signed_area(markers, curves)))
         self.normal = side[:, None] * self.tangent[:, ::-1] * (1, -1)
         self.per_stress = self.thickness * curves.spread(1 / outer - 1 / inner)
-        answered = self.per_stress**2 * curves.spread(work) / self.spacing
-        self.mobility = np.maximum(self.mobility - answered / self.length, 0.0)
+        made_up = self.per_stress**2 * curves.spread(work) / self.spacing
+        self.mobility = np.maximum(self.mobility - made_up / self.length, 0.0)
 
 
 class AreaProjector:

@@ -26,7 +26,7 @@ class Block(FluidIteration):
     what = "fluid and membrane stresses together"
 
     def __init__(self, fluid, membranes, kernel):
-        mu, short = fluid.near
+        mu, short = fluid.at_membranes
         self.model = MarkerModel(membranes.curves, fluid.grid, kernel, fluid.rho, mu,
                                  fluid.share, fluid.prefix + "model_", short)
         self.direct = self.model.direct

@@ -21,10 +21,14 @@ from petsc4py import PETSc
 from ..errors import SolveError
 from .iteration import Iteration
 
-DEFAULTS = {"ksp_rtol": 1e-6, "ksp_max_it": 200}  # 1e-7 takes two solves more, 1e-8 four
-# Of the accuracy asked for with moving membranes: those are a small part of the fluid.
-INNER = 0.1
-BALANCE = 1e-10  # power of the residual, relative to the kinetic energy over theta dt
+# A tolerance of 1e-7 takes two solves more, 1e-8 four.  (FGMRES in `block`, with the same exact
+# solves as preconditioner, needs 1e-9 for an energy ledger nearly as good, and with a vesicle takes
+# 0.5 to 1.3 times the time at 64^2 and 1.0 to 2.3 times at 128^2: mbe, be, gcn, CFL 0.5 to 10.)
+DEFAULTS = {"ksp_rtol": 1e-6, "ksp_max_it": 200}
+INNER = 0.1  # accuracy of the inner solves in a pass of the tangent iteration, relative to its own
+# Power of the residual that may be left, relative to the kinetic energy over theta dt: the energy
+# ledger's share of it, as `_balance` takes the rest away.
+BALANCE = 1e-10
 
 
 @dataclass

@@ -9,9 +9,10 @@ POISSON_DEFAULTS = {"ksp_type": "preonly", "pc_type": "gamg", "mg_coarse_sub_pc_
 class Stokes(Momentum):
     """K0 = [[A0, s G], [s G^T, 0]] on velocities and pressures.  Collective.
 
-    The factor s balances the rows; the pressures among the unknowns are p / s.  Its preconditioner
-    is the projection method: A0 u* = f, then a Poisson problem for the pressure.  Exact in a
-    periodic box with exact inner solvers; walls leave a splitting error that the outer iteration
+    The factor s makes residuals of div w = 0 as large as those of the momentum equation for the
+    same error in the velocity; the pressures among the unknowns are p / s.  The preconditioner is
+    the projection method: A0 u* = f, then a Poisson problem for the pressure.  It would be exact in
+    a periodic box with exact inner solvers; walls leave a splitting error that the outer iteration
     removes.
 
     Parameters
@@ -42,7 +43,7 @@ class Stokes(Momentum):
 
     @property
     def scale(self):
-        """The factor s: how a momentum residual answers a velocity error, times its width."""
+        """The factor s: A0's response to an error in one velocity, times the cell's width."""
         width = min(self.grid.dx, self.grid.dy)
         return self.rho * width / self.interval + self.mu / width
 

@@ -61,9 +61,9 @@ class Varying:
         self._version = None
 
     @property
-    def near(self):
-        """Viscosities at each membrane, for the model of its answer to long waves and to short."""
-        return self.viscosity.near
+    def at_membranes(self):
+        """Viscosity that long waves along each membrane feel, and that which short ones do."""
+        return self.viscosity.at_membranes
 
     def elimination_pays(self, interval):
         """Whether conjugate gradients with the stresses eliminated are the default."""
