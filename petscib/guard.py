@@ -24,7 +24,9 @@ def check(problem, state):
 
 
 def check_markers(problem, markers):
-    """Refuse markers that are not finite, or too near a wall to see the fluid.  Not collective.
+    """Refuse markers that are not finite, fallen together, or too near a wall to see the fluid.
+
+    Not collective.
 
     Raises
     ------
@@ -35,6 +37,8 @@ def check_markers(problem, markers):
         return
     if not np.isfinite(markers).all():
         raise SolveError("the markers are no longer finite")
+    curves = problem.membranes.curves
+    _check_tangents(curves, markers)
     a, b, c, d = problem.grid.domain
     low, high = np.array([a, c]), np.array([b, d])
     reach = problem.reach * np.array([problem.grid.dx, problem.grid.dy])
@@ -46,7 +50,6 @@ def check_markers(problem, markers):
     side, marker, axis = np.unravel_index(np.argmin(gaps), gaps.shape)
     wall = f"{'xy'[axis]} = {problem.grid.domain[2 * axis + side]:.4g}"
     where = ", ".join(f"{x:.4g}" for x in markers[marker])
-    curves = problem.membranes.curves
     vesicle = int(curves.owner[marker])
     size = np.ptp(curves.parts(markers)[vesicle], axis=0)
     name = f"vesicle {vesicle}" if curves.count > 1 else "the vesicle"
@@ -56,6 +59,17 @@ def check_markers(problem, markers):
             f"({where}), and the delta function reaches {reach[axis]:.3g}"
         )
     raise SolveError(f"marker {marker} was thrown to ({where}), beyond the wall {wall}")
+
+
+def _check_tangents(curves, markers):
+    """Refuse curves that have no tangent at a marker, or between two."""
+    for first, second, vectors in (
+            (*curves.edges.T, curves.edge_vectors(markers)),
+            (curves.before, curves.after, curves.chords(markers))):
+        same = np.flatnonzero(~vectors.any(axis=1))
+        if len(same):
+            raise SolveError(f"markers {first[same[0]]} and {second[same[0]]} have come to the "
+                             "same place")
 
 
 def check_crossing(problem, markers):

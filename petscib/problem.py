@@ -10,7 +10,7 @@ from .agreement import on_root
 from .coupling.interpolation import Interpolation
 from .coupling.stress import CorrectedInterpolation, StressInterpolation
 from .events import phase
-from .fluid.force import BodyForce
+from .fluid.body_force import BodyForce
 from .membranes import mobility
 from .membranes.gaps import Gaps
 from .solvers.markers import MarkerOperators
@@ -285,7 +285,7 @@ class Problem:
         return self.operators_between(markers, markers, self.interpolation(markers))
 
     def stress(self, state):
-        """Stresses of the membranes in a state, on rank 0; None where no membrane acts."""
+        """Stresses m of the membranes in a state, (R,) on rank 0; None where no membrane acts."""
         if not self.acted_on:
             return None
         self.membranes.cover(state.markers, state.markers)
@@ -299,7 +299,7 @@ class Problem:
         return self.membranes.tension(state.stretch, state.history.get("stress"))
 
     def stress_drift(self, state, dt):
-        """How the stresses of a state change in time by themselves, where tethers are moved."""
+        """Change of the stresses over a step with the markers at rest, where tethers are moved."""
         membranes = self.membranes
         return (membranes.stress(state.markers, state.stretch, state.time + dt)
                 - membranes.stress(state.markers, state.stretch, state.time))

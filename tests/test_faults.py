@@ -481,6 +481,16 @@ def test_thrown_markers_are_told_from_those_that_arrive(tmp_path):
         guard.check_markers(simulation.problem, markers * np.nan)
 
 
+@pytest.mark.parametrize("second", [6, 7])
+def test_markers_that_fall_together_leave_the_membrane_without_a_tangent(tmp_path, second):
+    simulation = prepare(tmp_path / "run")
+    markers = simulation.state.markers.copy()
+    simulation.destroy()
+    markers[second] = markers[5]
+    with pytest.raises(SolveError, match=f"markers 5 and {second} have come to the same place"):
+        guard.check_markers(simulation.problem, markers)
+
+
 # --- outputs that fail
 
 @pytest.mark.parametrize("stream", [1, 2])

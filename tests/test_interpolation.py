@@ -15,7 +15,7 @@ from petscib.membranes.laws import Tension
 from petscib.membranes.membranes import Membranes
 from petscib.solvers.force import Near
 from petscib.solvers.momentum import Momentum
-from petscib.solvers.transforms.helmholtz import HelmholtzTransform
+from petscib.solvers.transforms.diagonal import HelmholtzTransform
 
 DOMAIN = (-1.0, 2.0, 0.5, 2.5)
 ROUND_OFF = 1e-13  # relative

@@ -11,7 +11,7 @@ from petscib.fluid.operators import Operators
 from petscib.fluid.sides import Sides
 from petscib.membranes.curves import Curves
 from petscib.membranes.mobility import Slip
-from petscib.solvers.transforms.stokes import StokesTransform
+from petscib.solvers.transforms.saddle_point import StokesTransform
 
 # C0, C45 and what the rule may differ from the integral between 0 and 45 degrees. (0.333334 is one
 # third, rounded from a quadrature: hence a whole unit of the last digit as tolerance.)

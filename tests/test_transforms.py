@@ -9,9 +9,8 @@ from petsc4py import PETSc
 from petscib.fluid.grid import Grid
 from petscib.fluid.operators import Operators
 from petscib.fluid.sides import Sides
-from petscib.solvers.transforms.helmholtz import HelmholtzTransform
-from petscib.solvers.transforms.poisson import PoissonTransform
-from petscib.solvers.transforms.stokes import StokesTransform
+from petscib.solvers.transforms.diagonal import HelmholtzTransform, PoissonTransform
+from petscib.solvers.transforms.saddle_point import StokesTransform
 
 # cells, box: even, odd and prime numbers, square cells and others, tall and wide boxes
 CASES = [

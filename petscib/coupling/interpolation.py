@@ -127,9 +127,8 @@ class Interpolation:
     def matrix(self):
         """J as a parallel PETSc matrix, assembled when first asked for.  Collective."""
         if self._matrix is None:
-            faces = self.grid.velocity_dm.createGlobalVec().getSizes()
             self._matrix = PETSc.Mat().createAIJ(
-                ((2 * self._count, PETSc.DETERMINE), faces),
+                ((2 * self._count, PETSc.DETERMINE), self.grid.velocity_sizes),
                 csr=self.stencil.csr(self.grid.u_index, self.grid.v_index),
                 comm=self.grid.comm,
             )

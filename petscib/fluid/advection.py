@@ -17,8 +17,9 @@ from petsc4py import PETSc
 
 from .sides import WALLS
 
-# Explicit treatment is stable up to CFL numbers of about 1 where the cell Reynolds number is 16, of
-# 1.5 where it is 1.6 and of 50 where it is 0.02 (prototype): this, over the latter where below 1.
+# CFL number to which explicit treatment is kept; where the cell Reynolds number is below 1, divided
+# by it.  Prototypes were stable up to CFL numbers of about 1 at a cell Reynolds number of 16, of
+# 1.5 at 1.6 and of 50 at 0.02.
 LARGEST_CFL = 0.7
 
 
@@ -30,13 +31,13 @@ class Advection:
     operators : Operators
     rho : float
     implicit : bool
-        Whether the velocity to be solved for is carried along, or the transport itself.
+        Whether w is the stage velocity to be solved for, or U itself.
 
     Attributes
     ----------
     source : PETSc.Vec or None
-        What the walls' tangential velocities add to rho N(U) w, whatever U: its values on walls are
-        given.  None where no fluid passes through walls.
+        What the walls' tangential velocities add to rho N(U) w.  It is the same for every U, of
+        which it depends on the values on walls alone.  None where no fluid passes through walls.
     """
 
     def __init__(self, operators, rho, implicit):
@@ -149,7 +150,10 @@ class Advection:
             self.add(transport, rhs, -1.0)
 
     def power(self, transport, velocity):
-        """w . rho N(U) w, or w . rho N(U) U where it is explicit, per cell.  Collective."""
+        """w . rho N(U) w, or w . rho N(U) U where it is explicit, summed over the faces.
+
+        Times the cells' area it is a power.  Collective.
+        """
         force = velocity.duplicate()
         force.set(0.0)
         self.carry(transport)
@@ -161,7 +165,7 @@ class Advection:
         return power
 
     def longest_step(self, velocity, mu):
-        """Time step up to which it is stable at a velocity; infinite when implicit.  Collective.
+        """Largest stable time step at a velocity; infinite when implicit.  Collective.
 
         Parameters
         ----------

@@ -30,6 +30,8 @@ class Grid:
         The same layout with faces only and with cells only.
     dx, dy : float
         Cell sizes.
+    velocity_sizes, pressure_sizes : (int, int)
+        Numbers of faces and of cells: this rank's, and all.
     u_index : ndarray of int, shape (n, m + 1), or (n, m) when periodic in x
     v_index : ndarray of int, shape (n + 1, m), or (n, m) when periodic in y
     p_index : ndarray of int, shape (n, m)
@@ -63,6 +65,8 @@ class Grid:
         self.dm.setUp()
         self.velocity_dm = self.dm.createCompatibleDMStag((0, 1, 0))
         self.pressure_dm = self.dm.createCompatibleDMStag((0, 0, 1))
+        self.velocity_sizes, self.pressure_sizes = map(
+            _sizes, (self.velocity_vector(), self.pressure_vector()))
         self._number()
 
     @property
@@ -168,3 +172,10 @@ class Grid:
     def set_pressure(self, vector, p):
         """Set this rank's entries from a natural block p of the shape of p_box."""
         vector.getArray()[self.local_positions(self.p_index, self.p_box, vector)] = p
+
+
+def _sizes(vector):
+    """Local and global size of a vector, which is not needed any more."""
+    sizes = vector.getSizes()
+    vector.destroy()
+    return sizes

@@ -53,7 +53,7 @@ class Strain:
         return self._dm.createGlobalVec()
 
     def _places(self, index, box):
-        return index[box] - self.weights.getOwnershipRange()[0]
+        return self.grid.local_positions(index, box, self.weights)
 
     def _on_walls(self):
         """How many walls each of this rank's corners is on."""
@@ -87,8 +87,8 @@ class Strain:
         join(row, (u, box, (0, 0), twice / grid.dy), (u, box, (-1, 0), -twice / grid.dy),
              (v, box, (0, 0), twice / grid.dx), (v, box, (0, -1), -twice / grid.dx))
         weights[row] = np.where(on_walls == 0, 1.0, 0.5)
-        self.matrix = assemble(grid.comm, (self.weights.getSizes(),
-                                           grid.velocity_vector().getSizes()), columns, values)
+        shape = self.weights.getSizes(), grid.velocity_sizes
+        self.matrix = assemble(grid.comm, shape, columns, values)
 
     def _of_walls(self, sides):
         """Strain rates of a velocity that is zero but for the walls."""
@@ -125,25 +125,23 @@ class Strain:
             From cells.  A stretching rate has the value of its cell, a corner the mean of four,
             and a place on a wall that of those inside.
         """
-        grid = self.grid
-        cells, faces = grid.pressure_vector(), grid.velocity_vector()
+        grid, faces = self.grid, self.grid.velocity_vector()
 
         def mean(vector, parts):
-            size = vector.getLocalSize()
-            columns = np.full((size, 4), -1, dtype=PETSc.IntType)
+            columns = np.full((vector.getLocalSize(), 4), -1, dtype=PETSc.IntType)
             for index, box, shifts in parts:
-                row = index[box] - vector.getOwnershipRange()[0]
+                row = grid.local_positions(index, box, vector)
                 for slot, shift in enumerate(shifts):
                     columns[row, slot] = shifted(grid.p_index, box, *shift, grid.periodic)
             values = (columns >= 0) / np.maximum(np.sum(columns >= 0, axis=1), 1)[:, None]
-            return assemble(grid.comm, (vector.getSizes(), cells.getSizes()), columns, values)
+            shape = vector.getSizes(), grid.pressure_sizes
+            return assemble(grid.comm, shape, columns, values)
 
         to_strain = mean(self.weights, (
             (self.x_index, grid.p_box, [(0, 0)]), (self.y_index, grid.p_box, [(0, 0)]),
             (self.corner_index, self.corner_box, [(0, 0), (-1, 0), (0, -1), (-1, -1)])))
         to_faces = mean(faces, ((grid.u_index, grid.u_box, [(0, 0), (0, -1)]),
                                 (grid.v_index, grid.v_box, [(0, 0), (-1, 0)])))
-        cells.destroy()
         faces.destroy()
         return to_strain, to_faces
 

@@ -5,7 +5,7 @@ grid as a force is; hence
 
     Laplacian I = - div F[N],
 
-with I = 0 in a corner of the box, cut off at 0 and 1.  The viscosity is the harmonic mean
+with I = 0 in a corner cell of the box, clipped to [0, 1].  The viscosity is the harmonic mean
 
     1 / mu = (1 - I) / mu_o + I / mu_i
 
@@ -14,8 +14,9 @@ much of 1 / mu as a sharp membrane would give it.  Viscous forces are
 
     mu_min Laplacian u - E^T D (E u + e_walls),    D = weights (mu - mu_min),
 
-with the strain rates of `strain`: of velocities without divergence the same as div (2 mu e), whose
-matrix with all of mu is - mu Laplacian where mu is constant; symmetric and definite for any mu.
+with the strain rates e = E u of `strain`.  For velocities without divergence this is div (2 mu e),
+as - mu Laplacian and E^T D E with all of mu in D are the same there where mu is constant.  The
+matrix is symmetric and definite for any mu.
 """
 
 import numpy as np
@@ -51,7 +52,7 @@ class Viscosity:
     stresses : PETSc.Vec
         Stress over strain rate at the places of the strain rates: 2 mu and mu.
     version : int
-        Counts configurations.
+        Number of calls of `place`, by which solvers know that mu has changed.
     """
 
     def __init__(self, operators, kernel, curves, outer, inner, poisson):
@@ -69,10 +70,11 @@ class Viscosity:
         self.version = 0
 
     @property
-    def near(self):
-        """Viscosity that each membrane feels in long waves, and in short ones, shapes (V,).
+    def at_membranes(self):
+        """Viscosity that long waves along each membrane feel, and short ones, shapes (V,).
 
-        It is the mean of both sides, and that of 1 / mu, which is what smoothing leaves of them.
+        Long waves feel the mean of both sides.  Short ones lie within the smoothed layer, where the
+        mean is that of 1 / mu.
         """
         return (self.outer + self.inner) / 2, 2 / (1 / self.outer + 1 / self.inner)
 
@@ -138,13 +140,13 @@ class Viscosity:
         return np.clip(values - zero, 0.0, 1.0)
 
     def add_force(self, velocity, vector, factor=-1.0):
-        """Add the viscous force of mu - mu_min, without that of the walls, or a multiple of it.
+        """Add a multiple of - E^T D E u, the viscous force of mu - mu_min with walls at rest.
 
         Parameters
         ----------
         velocity, vector : PETSc.Vec
         factor : float
-            -1 for the force; 1 for E^T D E u, its part of the momentum matrix.
+            -1 to add the force; 1 for its part of the momentum matrix, E^T D E.
         """
         rates = self._rates
         self.strain.matrix.mult(velocity, rates)

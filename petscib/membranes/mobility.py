@@ -67,7 +67,7 @@ class ContrastSlip(Slip):
 
     K = k + 2 b c |1 / mu_o - 1 / mu_i| - c^2 (1 / mu_o - 1 / mu_i)^2 W / h_n, times t t^T / |X_s|.
     k = C h_n / 2 (1 / mu_o + 1 / mu_i) / 2 is the kink correction for the mean of both sides, c that
-    of J' (see `coupling.stress`), and the rest the answer to the stresses that J' spreads:
+    of J' (see `coupling.stress`), and the rest the slip that the stresses which J' spreads make up for:
     b = `kink.stress_ahead`, W = `kink.stress_work`.  At least LEAST_SLIP of k is left.
 
     Parameters
@@ -101,10 +101,10 @@ class ContrastSlip(Slip):
                 kink.contrast_constants(kernel), kink.stress_ahead(kernel), (straight, diagonal)))
         self.per_stress = (
             thickness * self.spacing / 2 * curves.spread(1 / outer - 1 / inner))
-        answered = (2 * ahead * np.abs(self.per_stress)
+        made_up = (2 * ahead * np.abs(self.per_stress)
                     - self.per_stress**2 * work / self.spacing)
         self.mobility = np.maximum(
-            self.mobility + answered / self.length, LEAST_SLIP * self.mobility)
+            self.mobility + made_up / self.length, LEAST_SLIP * self.mobility)
 
 
 def stress_places(curves, markers, grid, outer, inner):

@@ -1,4 +1,4 @@
-"""What the stages of the last two steps let expect of the next, at whatever time it lies."""
+"""Linear extrapolation from the stages of the last two steps to the next, for first guesses."""
 
 from petsc4py import PETSc
 
@@ -6,7 +6,7 @@ TIME = "stage_time"
 
 
 def expected(history, name, time, otherwise):
-    """What a stage will probably have, extrapolated linearly.
+    """A quantity at a stage to come, extrapolated linearly from the last two.
 
     Parameters
     ----------
@@ -17,12 +17,12 @@ def expected(history, name, time, otherwise):
     time : float
         Of the stage.
     otherwise : ndarray or PETSc.Vec
-        In place of what the history does not hold.
+        Its value where the history holds none.
 
     Returns
     -------
     ndarray or PETSc.Vec
-        A new one.
+        A new array or vector.
     """
     value = history.get(name, otherwise).copy()
     rate = history.get(f"{name}_rate")
@@ -36,7 +36,7 @@ def expected(history, name, time, otherwise):
 
 
 def remembered(history, time, **stage):
-    """The part of the next history that `expected` asks for.
+    """Values and rates of change of a stage, as entries of the next state's history for `expected`.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def remembered(history, time, **stage):
     time : float
         Of the stage.
     **stage : ndarray or PETSc.Vec
-        What it has had, by name; kept.
+        Its quantities by name; kept.
 
     Returns
     -------

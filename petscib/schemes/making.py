@@ -57,14 +57,14 @@ class Solvers:
             return self._varying("VaryingStokes")
 
         def transform():
-            from ..solvers.transforms.stokes import StokesTransform
+            from ..solvers.transforms.saddle_point import StokesTransform
 
             return StokesTransform(self.problem.grid, self.problem.operators)
 
         return self._fluid(Stokes, transform)
 
     def _helmholtz(self):
-        from ..solvers.transforms.helmholtz import HelmholtzTransform
+        from ..solvers.transforms.diagonal import HelmholtzTransform
 
         return HelmholtzTransform(self.problem.grid)
 

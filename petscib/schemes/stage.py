@@ -1,4 +1,4 @@
-"""What the schemes share: a stage velocity is solved for, and all else follows from it."""
+"""What the schemes share: they solve for a stage velocity, from which all else follows."""
 
 import numpy as np
 
@@ -45,7 +45,7 @@ class StageScheme:
         self._rhs, self._load = problem.grid.velocity_vector(), None
         if problem.loaded:
             self._load = problem.grid.velocity_vector()
-        # Where the stage lies ahead of the start, the transport is that of a stage to come.
+        # With theta = 1/2 the transport is extrapolated to the middle of the step.
         self.extrapolates = problem.advection is not None and theta < 1
 
     def begin(self, state, dt, markers=None):
@@ -88,7 +88,7 @@ class StageScheme:
         return state.time + self.theta * dt
 
     def free_stress(self, state, dt, stage, operators):
-        """m0: the stresses at the stage, but for what their own forces do."""
+        """m0: the stresses at the stage but for theta dt C U, which the solve finds."""
         problem = self.problem
         stress = problem.stress(state)
         if problem.acted_on and problem.membranes.move:

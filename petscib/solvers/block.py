@@ -9,13 +9,11 @@ import numpy as np
 
 from ..events import phase
 from . import krylov
+from .iteration import REDUCTION, ROUND_OFF, FluidIteration
 from .model import MarkerModel
 
-ROUND_OFF = 1e-14  # relative tolerance below which no residual gets
-REDUCTION = 0.1  # of the residual, that a pass of the tangent iteration makes at least
 
-
-class Block:
+class Block(FluidIteration):
     """Block iteration.  Collective.
 
     Parameters
@@ -28,25 +26,18 @@ class Block:
     what = "fluid and membrane stresses together"
 
     def __init__(self, fluid, membranes, kernel):
-        self.fluid = fluid
-        mu, short = fluid.near
+        mu, short = fluid.at_membranes
         self.model = MarkerModel(membranes.curves, fluid.grid, kernel, fluid.rho, mu,
                                  fluid.share, fluid.prefix + "model_", short)
-        rows = membranes.stress_count
-        self._unknowns, self._rhs = ([*fluid.blocks(), krylov.vector_on_root(rows, fluid.grid.comm)]
-                                     for _ in range(2))
-        self._force = self.fluid.grid.velocity_vector()
-        self._solution, self._load = map(krylov.join, (self._unknowns, self._rhs))
-        self._residual = self._load.duplicate()
-        self._operator = krylov.Operator(self._solution, self)
-        self.ksp = krylov.create(
-            self._operator.matrix, fluid.prefix,
-            {**fluid.defaults, "ksp_type": "fgmres", "pc_type": "python"})
-        krylov.use_python(self.ksp, self)
+        self.direct = self.model.direct
+        super().__init__(
+            fluid, {**fluid.defaults, "ksp_type": "fgmres", "pc_type": "python"}, self,
+            membranes.stress_count)
+        self._force, self._residual = fluid.grid.velocity_vector(), self._load.duplicate()
 
     def begin(self, rhs, stage):
-        """Take right-hand side and first guess."""
-        self.rhs, self.stage = rhs, stage
+        """Take right-hand side and first guess of a time step."""
+        super().begin(rhs, stage)
         self.model.begin()
 
     def update(self, interval, operators, stress):
@@ -65,8 +56,7 @@ class Block:
         squares = operators.rates.multiply(operators.rates).sum(axis=1)
         diagonal = 1 / interval + mobility * np.asarray(squares).ravel()
         self._weights = self._weight / np.sqrt(diagonal)
-        self._operator.changed()
-        self.ksp.setOperators(self._operator.matrix)
+        self._changed()
 
     def mult(self, x, y):
         """The system's matrix times x."""
@@ -91,24 +81,11 @@ class Block:
         self.operators.spread_add(self.operators.force(stress), self._force)
         self.fluid.precondition([self._force, *fluid_x[1:]], fluid_y)
 
-    def iterate(self, accuracy):
-        """Solve.  Returns the iterations."""
-        fluid, stage = self.fluid, self.stage
-        fluid.load(self._unknowns[:-1], stage.velocity, stage.pressure)
-        self._unknowns[-1].getArray()[:] = stage.stress
-        self.rhs.copy(self._rhs[0])
-        fluid.set_source(self._rhs[:-1])
+    def _load_stresses(self):
+        self._unknowns[-1].getArray()[:] = self.stage.stress
         self._rhs[-1].getArray()[:] = -self._weights * self._free
-        with krylov.tolerances(self.ksp, *self._asked(accuracy)):
-            iterations = krylov.solve(
-                self.ksp, self._load, self._solution, fluid.name, krylov.advice(self.ksp),
-                self.model.direct)
-        fluid.store(self._unknowns[:-1], stage.velocity, stage.pressure)
-        stage.stress = self._unknowns[-1].getArray(readonly=True).copy()
-        return iterations
 
-    def _asked(self, accuracy):
-        """Relative and absolute tolerance of a solve.  Collective."""
+    def _tolerances(self, accuracy):
         if accuracy is None:
             return None, None
         # By the part of the forces' power that the slip takes up, which is known at once.
@@ -120,14 +97,8 @@ class Block:
         most = REDUCTION * self._residual.norm()
         return ROUND_OFF, min(accuracy * self._weight * np.sqrt(power), most)
 
-    def marker_velocity(self):
-        """U of the last solution."""
-        operators = self.operators
-        return operators.interpolate(self.stage.velocity) + operators.slip_velocity(
-            operators.force(self.stage.stress))
-
-    def finish(self):
-        """Nothing is left to do."""
+    def _store_stresses(self):
+        self.stage.stress = self._unknowns[-1].getArray(readonly=True).copy()
 
     def view(self, pc, viewer):
         """Say what it is, and show the solvers inside."""
@@ -136,9 +107,7 @@ class Block:
 
     def destroy(self, pc=None):
         """Free the solver; PETSc calls this too.  Collective."""
-        if pc is not None:
-            return
-        self.model.destroy()
-        for part in (self.ksp, self._operator, self._solution, self._load, self._residual,
-                     self._force, *self._unknowns, *self._rhs):
-            part.destroy()
+        super().destroy(pc)
+        if pc is None:
+            for part in (self.model, self._residual, self._force):
+                part.destroy()

@@ -22,7 +22,7 @@ def _whole(upper):
 class Cholesky:
     """Direct solver of a sequential symmetric matrix, positive definite or quasidefinite.
 
-    Not collective.  On ranks where the matrix is empty, so are right-hand sides and answers.
+    Not collective.  On ranks where the matrix is empty, so are right-hand sides and solutions.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ class Cholesky:
         self.ksp.setOperators(self._matrix)
 
     def solve(self, rhs):
-        """Answer as a new array; not a number where the factorisation failed."""
+        """The solution, a new array; NaN where the factorisation failed."""
         if not len(rhs):
             return np.empty(0)
         self._rhs.getArray()[:] = rhs

@@ -13,8 +13,8 @@ from scipy.sparse import triu
 
 from ..events import phase
 from . import direct, krylov
-from .alone import FluidPC
 from .cholesky import Cholesky
+from .iteration import FluidIteration, FluidPC
 from .literal import LiteralPC, assembled
 from .model import StressMatrix
 
@@ -51,7 +51,7 @@ class StressBlock:
         self.direct.destroy()
 
 
-class Elimination:
+class Elimination(FluidIteration):
     """Krylov iteration for the fluid with the stresses eliminated.  Collective.
 
     Parameters
@@ -66,26 +66,16 @@ class Elimination:
     what = "fluid, membrane stresses eliminated"
 
     def __init__(self, fluid, membranes, kernel, literal=False):
-        self.fluid, self.literal = fluid, literal
+        self.literal, self._whole, self._factored = literal, None, None
         self.block = StressBlock(fluid.prefix + "stress_")
-        self._unknowns, self._rhs = fluid.blocks(), fluid.blocks()
-        self._solution, self._load = map(krylov.join, (self._unknowns, self._rhs))
-        self._operator = krylov.Operator(self._solution, self)
-        defaults = fluid.defaults
+        self.direct = self.block.direct
+        defaults, preconditioner = fluid.defaults, FluidPC(fluid)
         if literal and fluid.symmetric:
             defaults = {**defaults, **direct.defaults("cholesky", fluid.grid.comm)}
-        self.ksp = krylov.create(self._operator.matrix, fluid.prefix, defaults)
-        self.ksp.getPC().setUseAmat(False)  # multigrid would otherwise smooth with the operator
-        self._whole = None
-        if literal and not fluid.symmetric:
-            self._direct = LiteralPC(fluid)
-            krylov.use_python(self.ksp, self._direct)
-        elif not literal:
-            krylov.use_python(self.ksp, FluidPC(fluid))
-
-    def begin(self, rhs, stage):
-        """Take right-hand side and first guess."""
-        self.rhs, self.stage = rhs, stage
+            preconditioner = None
+        elif literal:
+            preconditioner = self._factored = LiteralPC(fluid)
+        super().__init__(fluid, defaults, preconditioner)
 
     def update(self, interval, operators, stress):
         """Set the system for a configuration of the membranes."""
@@ -95,21 +85,19 @@ class Elimination:
         with phase("marker model"):
             self.block.update(interval, operators)
         self._free = stress / interval
-        self._operator.changed()
         preconditioned = fluid.matrix
         if self.literal:
             with phase("matrix assembly"):
-                self._replace(assembled(fluid, interval, operators))
-            preconditioned = self._whole
-            if not fluid.symmetric:
-                self._direct.factor(self._whole)
-                preconditioned = self._operator.matrix
-        self.ksp.setOperators(self._operator.matrix, preconditioned)
+                self._free_whole()
+                preconditioned = self._whole = assembled(fluid, interval, operators)
+            if self._factored is not None:
+                self._factored.factor(self._whole)
+                preconditioned = None
+        self._changed(preconditioned)
 
-    def _replace(self, matrix):
+    def _free_whole(self):
         if self._whole is not None:
             self._whole.destroy()
-        self._whole = matrix
 
     def mult(self, x, y):
         """y = (A + J^T Pi C^T B^{-1} C Pi J / (dx dy)) x."""
@@ -119,41 +107,28 @@ class Elimination:
         stress = self.block.solve(operators.rate(operators.interpolate(x[0])))
         operators.spread_add(-operators.force(stress), y[0])
 
-    def iterate(self, accuracy):
-        """Solve.  Returns the iterations."""
-        fluid, stage, operators = self.fluid, self.stage, self.operators
-        fluid.load(self._unknowns, stage.velocity, stage.pressure)
-        self.rhs.copy(self._rhs[0])
-        fluid.set_source(self._rhs)
-        operators.spread_add(operators.force(self.block.solve(self._free)), self._rhs[0])
-        if accuracy is not None:
-            # The last pass's answer, when good enough, would be taken for that of this one, and
-            # the markers for converged because they do not move.  And beside a factorisation, an
-            # accurate solve is cheap.
-            self._solution.set(0.0)
-            accuracy = min(accuracy, ACCURACY)
-        with krylov.tolerances(self.ksp, accuracy):
-            iterations = krylov.solve(
-                self.ksp, self._load, self._solution, fluid.name, krylov.advice(self.ksp),
-                self.block.direct)
-        fluid.store(self._unknowns, stage.velocity, stage.pressure)
-        self._carried = operators.interpolate(stage.velocity)
-        stage.stress = self.block.solve(self._free + operators.rate(self._carried))
-        return iterations
+    def _load_stresses(self):
+        force = self.operators.force(self.block.solve(self._free))
+        self.operators.spread_add(force, self._rhs[0])
 
-    def marker_velocity(self):
-        """U of the last solution."""
+    def _tolerances(self, accuracy):
+        if accuracy is None:
+            return None, None
+        # The last pass's solution, when good enough, would be taken for that of this one, and the
+        # markers for converged because they do not move.  And beside a factorisation, an accurate
+        # solve is cheap.
+        self._solution.set(0.0)
+        return min(accuracy, ACCURACY), None
+
+    def _store_stresses(self):
         operators = self.operators
-        return self._carried + operators.slip_velocity(operators.force(self.stage.stress))
+        rate = operators.rate(operators.interpolate(self.stage.velocity))
+        self.stage.stress = self.block.solve(self._free + rate)
 
-    def finish(self):
-        """Nothing is left to do."""
-
-    def destroy(self):
+    def destroy(self, pc=None):
         """Free the solver.  Collective."""
-        self._replace(None)
-        if self.literal and not self.fluid.symmetric:
-            self._direct.destroy()
-        for part in (self.ksp, self._operator, self._solution, self._load,
-                     *self._unknowns, *self._rhs, self.block):
-            part.destroy()
+        self._free_whole()
+        super().destroy()
+        self.block.destroy()
+        if self._factored is not None:
+            self._factored.destroy()

@@ -3,6 +3,7 @@
 import importlib
 from contextlib import contextmanager
 
+import numpy as np
 from petsc4py import PETSc
 
 from ..errors import InputError, SolveError
@@ -139,16 +140,21 @@ def reason_name(ksp):
     return _REASONS.get(reason, f"reason {reason}")
 
 
-def advice(ksp):
+def _advice(ksp):
     """What the user can try when it has not converged."""
     prefix = ksp.getOptionsPrefix()
-    return f"a larger -{prefix}ksp_max_it may help, -{prefix}ksp_monitor shows more"
+    more = f"-{prefix}ksp_monitor shows more"
+    if ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT:
+        return f"a larger -{prefix}ksp_max_it may help, {more}"
+    return more
 
 
 @contextmanager
 def tolerances(ksp, rtol=None, atol=None):
     """Solve with other tolerances inside the block, those that are not None."""
     usual = ksp.getTolerances()
+    if atol is not None and not np.isfinite(atol):
+        atol = 0.0  # which PETSc takes; that the numbers are no good, the solve will find
     ksp.setTolerances(rtol=rtol, atol=atol)
     try:
         yield
@@ -156,7 +162,7 @@ def tolerances(ksp, rtol=None, atol=None):
         ksp.setTolerances(rtol=usual[0], atol=usual[1])
 
 
-def solve(ksp, rhs, solution, what, advice, inner=None):
+def solve(ksp, rhs, solution, what, advice=None, inner=None):
     """Solve, from the values in `solution` unless they are no use.  Collective.
 
     After a long step the last state can be so many orders too large a guess that PETSc takes it
@@ -168,8 +174,8 @@ def solve(ksp, rhs, solution, what, advice, inner=None):
     rhs, solution : PETSc.Vec
     what : str
         Which solve it is, for the message.
-    advice : str
-        What the user can try.
+    advice : str, optional
+        What the user can try, if not more iterations or a look at the residuals.
     inner : Cholesky, optional
         The first rank's part of the preconditioner, which may be to blame.
 
@@ -199,6 +205,6 @@ def solve(ksp, rhs, solution, what, advice, inner=None):
             )
         raise SolveError(
             f"{what} solve failed: {reason_name(ksp)} after {ksp.getIterationNumber()} "
-            f"iterations; {advice}"
+            f"iterations; {advice or _advice(ksp)}"
         )
     return ksp.getIterationNumber()

@@ -37,7 +37,7 @@ def assembled(fluid, interval, operators):
     gradient.scale(fluid.scale)
     divergence = PETSc.Mat()
     gradient.transpose(divergence)
-    sizes = (fluid.grid.pressure_vector().getSizes(),) * 2
+    sizes = (fluid.grid.pressure_sizes,) * 2
     corner = PETSc.Mat().createAIJ(sizes, nnz=(1, 0), comm=comm)
     corner.setUp()
     corner.assemble()

@@ -44,6 +44,13 @@ class MarkerOperators:
         """K f for forces (M, 2) on the markers; zero without the correction."""
         return 0.0 if self.slip is None else self.slip.velocity(force)
 
+    def velocity(self, stage):
+        """U of a solved stage: (M, 2) on rank 0, (0, 2) elsewhere.  Collective."""
+        velocity = self.interpolate(stage.velocity)
+        if stage.stress is None:
+            return velocity
+        return velocity + self.slip_velocity(self.force(stage.stress))
+
     def interpolate(self, velocity):
         """Pi J w: (M, 2) on rank 0, (0, 2) elsewhere.  Collective."""
         return self.project(self.interpolation.interpolate(velocity))

@@ -1,7 +1,7 @@
-"""A model of the fluid's answer to membrane forces, in marker space alone.
+"""A model of the fluid's response to membrane forces, in marker space alone.
 
-A force f on the markers moves them by (H + K) f, with H = J A^{-1} J^T / (dx dy) the answer of the
-fluid and K the kink correction.  The stresses m of the membranes solve
+A force f on the markers moves them by (H + K) f, with H = J A^{-1} J^T / (dx dy) the
+response of the fluid and K the kink correction.  The stresses m of the membranes solve
 
     (1 / (theta dt) + C (H + K) C^T) m = right-hand side,
 
@@ -10,7 +10,7 @@ k, H is
 
     1 / ds int dq / (2 pi) phi^2(k, q) / (mu (k^2 + q^2) + rho / (theta dt)),
 
-half of it where the fluid's answer has no divergence.  With phi^2 about exp(-s2 h^2 (k^2 + q^2)),
+half of it where the fluid's velocity has no divergence.  With phi^2 about exp(-s2 h^2 (k^2 + q^2)),
 s2 the variance of the kernel, this is exp(-s2 h^2 k^2) R(k) / ds with
 
     R(k) = erfcx(sqrt(s2) h kappa) / (2 mu kappa),    kappa^2 = k^2 + rho / (mu theta dt).
@@ -135,17 +135,17 @@ class MarkerModel:
     mu : float or ndarray, shape (V,)
         Viscosity at each curve.
     share : float
-        Share of the answer that is without divergence: 1/2 of a force's in the coupled system, or
-        all of it, 1, in the momentum system.
+        Factor of the response: 1/2 in the coupled system, where only the solenoidal part of a
+        force moves the fluid, and 1 in the momentum system.
     prefix : str
         Options prefix of the direct solver.
     short : float or ndarray, shape (V,), optional
-        Viscosity for short waves, if another.
+        Viscosity that short waves feel, where it is not mu.
     """
 
     def __init__(self, curves, grid, kernel, rho, mu, share, prefix, short=None):
         self.curves, self.rho, self.share = curves, rho, share
-        # Of several curves, that of the fit; each has it in proportion.
+        # The poles are fitted to the mean viscosity; each curve's block is scaled by its own.
         self.mu = np.mean(mu)
         self._softer = 0.0 if short is None else np.mean(mu / short) - 1
         self.direct = Cholesky(prefix)

@@ -37,7 +37,7 @@ class Momentum:
     """
 
     name, prefix = "momentum", "momentum_"
-    share = 1.0  # of a force's answer that a velocity in this system has; see `model`
+    share = 1.0  # factor of the response to a force in `model`: here all of a force moves the fluid
     defaults = {"ksp_type": "cg", "ksp_rtol": 1e-6, "ksp_max_it": 500,
                 # At sigma0 = 1e13 the first residuals may be 1e5 times that of the start.
                 "ksp_divtol": 1e12, **GAMG_DEFAULTS}
@@ -57,12 +57,12 @@ class Momentum:
 
     @property
     def exact(self):
-        """Whether transforms solve the system, and answer forces near the markers, exactly."""
+        """Whether transforms solve the system exactly, on the whole grid and near the markers."""
         return self.transform is not None
 
     @property
-    def near(self):
-        """Viscosity at each membrane, and that for short waves if another (see `model`)."""
+    def at_membranes(self):
+        """Viscosity that long waves along each membrane feel, and short ones if another."""
         return self.mu, None
 
     def update(self, interval):
@@ -118,7 +118,7 @@ class Momentum:
         self.transform.solve(rhs, velocity)
 
     def window(self, faces):
-        """The exact answer to forces on some faces, restricted to them."""
+        """The exact response to forces on some faces, restricted to them."""
         return self.transform.window(faces)
 
     def precondition(self, rhs, answer):
@@ -135,7 +135,7 @@ class Momentum:
                 self.matrix, self.prefix + "velocity_", VELOCITY_DEFAULTS)
         self._inner.setOperators(self.matrix)
         velocity.set(0.0)
-        krylov.solve(self._inner, rhs, velocity, "velocity", krylov.advice(self._inner))
+        krylov.solve(self._inner, rhs, velocity, "velocity")
 
     def view(self, viewer):
         """Show what preconditions."""

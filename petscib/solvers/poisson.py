@@ -77,6 +77,6 @@ def poisson_solver(operators, fft, prefix="poisson_", defaults=DEFAULTS):
     """
     if not fft or PETSc.Options(prefix).hasName("pc_type"):
         return PoissonSolver(operators, prefix, defaults)
-    from .transforms.poisson import PoissonTransform
+    from .transforms.diagonal import PoissonTransform
 
     return PoissonSolver(operators, transform=PoissonTransform(operators.grid))

@@ -1,7 +1,7 @@
 """The fluid's part of the coupled system: velocity and pressure together."""
 
 from .momentum import Momentum
-from .poisson import PoissonSolver
+from .poisson import poisson_solver
 
 POISSON_DEFAULTS = {"ksp_type": "preonly", "pc_type": "gamg", "mg_coarse_sub_pc_type": "svd"}
 
@@ -9,9 +9,10 @@ POISSON_DEFAULTS = {"ksp_type": "preonly", "pc_type": "gamg", "mg_coarse_sub_pc_
 class Stokes(Momentum):
     """K0 = [[A0, s G], [s G^T, 0]] on velocities and pressures.  Collective.
 
-    The factor s balances the rows; the pressures among the unknowns are p / s.  Its preconditioner
-    is the projection method: A0 u* = f, then a Poisson problem for the pressure.  Exact in a
-    periodic box with exact inner solvers; walls leave a splitting error that the outer iteration
+    The factor s makes residuals of div w = 0 as large as those of the momentum equation for the
+    same error in the velocity; the pressures among the unknowns are p / s.  The preconditioner is
+    the projection method: A0 u* = f, then a Poisson problem for the pressure.  It would be exact in
+    a periodic box with exact inner solvers; walls leave a splitting error that the outer iteration
     removes.
 
     Parameters
@@ -32,6 +33,7 @@ class Stokes(Momentum):
         "pc_type": "python",
     }
     symmetric = False
+    fast = False  # whether transforms solve the preconditioner's Poisson problem
 
     def __init__(self, operators, rho, mu, transform=None, advection=None):
         super().__init__(operators, rho, mu, transform, advection)
@@ -41,7 +43,7 @@ class Stokes(Momentum):
 
     @property
     def scale(self):
-        """The factor s: how a momentum residual answers a velocity error, times its width."""
+        """The factor s: A0's response to an error in one velocity, times the cell's width."""
         width = min(self.grid.dx, self.grid.dy)
         return self.rho * width / self.interval + self.mu / width
 
@@ -90,15 +92,10 @@ class Stokes(Momentum):
         """Set answer to about K0^{-1} rhs, lists of blocks."""
         interval, scale, excess = self.interval, self.scale, self._excess
         (force, source), (velocity, pressure) = rhs, answer
-        if self.exact:
-            source.copy(excess)
-            excess.scale(1 / scale)
-            self.transform.solve(force, excess, velocity, pressure)
-            pressure.scale(1 / scale)
-            return
         self.precondition_velocity(force, velocity)
         if self._poisson is None:
-            self._poisson = self.poisson()
+            self._poisson = poisson_solver(
+                self.operators, self.fast, self.prefix + "poisson_", POISSON_DEFAULTS)
         gradient = self.operators.gradient
 
         # (theta dt) Laplacian phi = div u* less what the source asks for, with div = -G^T
@@ -112,10 +109,6 @@ class Stokes(Momentum):
         velocity.axpy(-interval, self._slope)
         mu = self.viscosity_of(excess)
         pressure.axpby(-mu * interval / scale, self.rho / scale, excess)
-
-    def poisson(self):
-        """A new solver of the pressure's Poisson problem, for the preconditioner."""
-        return PoissonSolver(self.operators, self.prefix + "poisson_", POISSON_DEFAULTS)
 
     def viscosity_of(self, cells):
         """The factor that makes values at cells the viscosity times these; they may change."""

@@ -21,8 +21,9 @@ symmetric, with A the momentum matrix or the coupled one.  Four iterations solve
 `alone`
     Without membrane forces.
 
-With implicit advection A is not symmetric.  `skew` puts it around `force`, and around `alone` with
-transforms; in the others it is part of A, and FGMRES takes the place of conjugate gradients.
+With implicit advection A is not symmetric.  Where transforms invert the rest of A, `skew` iterates
+around these solves; elsewhere advection is part of A, and FGMRES takes the place of conjugate
+gradients.
 
 The relative tolerance means the same in all: the power of the error, as the preconditioner tells
 it, relative to that of the right-hand side.
@@ -34,7 +35,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from ..errors import InputError
-from .alone import Alone
+from .alone import Alone, AloneExact
 from .block import Block
 from .elimination import Elimination
 from .force import Force
@@ -104,7 +105,7 @@ class ImplicitSystem:
         iteration = self._choose_symmetric(membranes, kernel, corrected, interval)
         if fluid.advection is None:
             return iteration
-        if isinstance(iteration, (Force, Alone)) and fluid.exact:
+        if isinstance(iteration, (Force, AloneExact)):
             return Skew(iteration, fluid)
         name = PETSc.Options(fluid.prefix).getString("ksp_type", "")
         if name in NEED_SYMMETRY:
@@ -117,15 +118,15 @@ class ImplicitSystem:
     def _choose_symmetric(self, membranes, kernel, corrected, interval):
         fluid = self.fluid
         if membranes is None or not membranes.act:
-            return Alone(fluid)
+            return AloneExact(fluid) if fluid.exact else Alone(fluid)
         if not corrected:
             return Elimination(fluid, membranes, kernel, literal=True)
-        exact = fluid.exact
-        default = "cg" if exact or fluid.elimination_pays(interval) else "fgmres"
-        eliminates = exact or fluid.symmetric
-        if not eliminates or "cg" not in PETSc.Options(fluid.prefix).getString("ksp_type", default):
-            return Block(fluid, membranes, kernel)
-        return (Force if exact else Elimination)(fluid, membranes, kernel)
+        if fluid.exact:
+            return Force(fluid, membranes, kernel)
+        default = "cg" if fluid.elimination_pays(interval) else "fgmres"
+        method = PETSc.Options(fluid.prefix).getString("ksp_type", default)
+        kind = Elimination if fluid.symmetric and "cg" in method else Block
+        return kind(fluid, membranes, kernel)
 
     def begin(self, rhs, stage):
         """Take the right-hand side b of a time step and first guesses.
@@ -203,8 +204,7 @@ class ImplicitSystem:
 
         When this is called as one is written, a restart from it is the uninterrupted run.
         """
-        if isinstance(self._iteration, (Force, Skew)):
-            self._iteration.forget()
+        self._iteration.forget()
 
     def destroy(self):
         """Free the solvers.  Collective."""

@@ -12,8 +12,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from .momentum import Momentum
-from .poisson import PoissonSolver
-from .stokes import POISSON_DEFAULTS, Stokes
+from .stokes import Stokes
 
 # Largest ratio of viscosities for which scaled transforms precondition.  For -scheme be, dt = h,
 # they take 0.4 to 0.6 of multigrid's time at ratios of 5 and 10 (64^2, 128^2), 0.7 and 1.5 at 100.
@@ -62,9 +61,9 @@ class Varying:
         self._version = None
 
     @property
-    def near(self):
-        """Viscosities at each membrane, for the model of its answer to long waves and to short."""
-        return self.viscosity.near
+    def at_membranes(self):
+        """Viscosity that long waves along each membrane feel, and that which short ones do."""
+        return self.viscosity.at_membranes
 
     def elimination_pays(self, interval):
         """Whether conjugate gradients with the stresses eliminated are the default."""
@@ -140,15 +139,6 @@ class VaryingMomentum(Varying, Momentum):
 
 class VaryingStokes(Varying, Stokes):
     """The saddle point of A0 on velocities and pressures."""
-
-    def poisson(self):
-        """A new solver of the pressure's Poisson problem, for the preconditioner."""
-        if not self.fast:
-            return super().poisson()
-        from .transforms.poisson import PoissonTransform
-
-        return PoissonSolver(self.operators, self.prefix + "poisson_", POISSON_DEFAULTS,
-                             PoissonTransform(self.grid))
 
     def viscosity_of(self, cells):
         """The factor that makes values at cells the viscosity times these; they change."""

@@ -110,7 +110,7 @@ class FastSolve:
     """A0^{-1} times the velocity of a simulation's state, by transforms.  Collective."""
 
     def __init__(self, simulation):
-        from ..solvers.transforms.helmholtz import HelmholtzTransform
+        from ..solvers.transforms.diagonal import HelmholtzTransform
 
         problem = simulation.problem
         self.comm = simulation.comm

@@ -1,10 +1,11 @@
-"""A constant operator between transforms that make it diagonal."""
+"""Operators with constant coefficients, made diagonal by transforms, and their inverses."""
 
 import numpy as np
 from petsc4py import PETSc
 
-from .bases import X, Y
+from .bases import X, Y, given_places, pressure_field, velocity_fields
 from .slabs import Slabs, transform
+from .windows import HelmholtzWindow
 
 
 class DiagonalSolver:
@@ -68,3 +69,61 @@ class DiagonalSolver:
             slabs.vector.destroy()
             if scatter is not None:
                 scatter.destroy()
+
+
+class HelmholtzTransform(DiagonalSolver):
+    """The inverse of A0 = a - b Laplacian, the Laplacian that of `Operators`.  Collective.
+
+    Faces on walls are coupled to no others: their equation is a x = r.
+
+    Parameters
+    ----------
+    grid : Grid
+    """
+
+    def __init__(self, grid):
+        self.grid, self.coefficients = grid, None
+        fields, vector = velocity_fields(grid), grid.velocity_vector()
+        super().__init__(grid, fields, vector)
+        self._walls = given_places(fields, vector)
+        vector.destroy()
+
+    def set_coefficients(self, a, b):
+        """Set a > 0 (density/time) and b > 0 (viscosity)."""
+        if (a, b) != self.coefficients:
+            self.coefficients = a, b
+            self.set_operator(a, b)
+
+    def solve(self, rhs, velocity):
+        """Set velocity = A0^{-1} rhs.  They may be the same velocity vector."""
+        on_walls = rhs.getArray(readonly=True)[self._walls]
+        super().solve(rhs, velocity)
+        velocity.getArray()[self._walls] = on_walls / self.coefficients[0]
+
+    def window(self, faces):
+        """R A0^{-1} R^T with the present coefficients (see `HelmholtzWindow`).
+
+        Parameters
+        ----------
+        faces : list of (ndarray, ndarray)
+            Rows and columns of the faces of u and of v, on rank 0 (empty elsewhere); on no wall.
+        """
+        return HelmholtzWindow(self.grid, *self.coefficients, faces)
+
+
+class PoissonTransform(DiagonalSolver):
+    """Pseudo-inverse of minus the pressure's Laplacian, G^T G.  Collective.
+
+    The solution has zero mean, and the mean of the source is left out.  Source and solution are
+    pressure vectors, and may be the same.
+
+    Parameters
+    ----------
+    grid : Grid
+    """
+
+    def __init__(self, grid):
+        vector = grid.pressure_vector()
+        super().__init__(grid, [pressure_field(grid)], vector)
+        vector.destroy()
+        self.set_operator(0.0, 1.0)

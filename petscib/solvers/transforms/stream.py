@@ -60,7 +60,7 @@ class TwoWalls:
         self._diagonal = 1 + diagonal
 
     def solve(self, sums):
-        """Replace the right-hand sides by the answers."""
+        """Replace the right-hand sides by the solutions."""
         sums /= self._diagonal
 
 
@@ -96,7 +96,7 @@ class FourWalls:
                 self._blocks.append((places, root, link, factor))
 
     def solve(self, sums):
-        """Replace the right-hand sides, shapes (2, m - 1) and (2, n - 1), by the answers."""
+        """Replace the right-hand sides, shapes (2, m - 1) and (2, n - 1), by the solutions."""
         horizontal, vertical = self._sides(sums.copy())
         sums[:] = 0.0
         answers = self._sides(sums)
@@ -169,7 +169,7 @@ class Spectrum:
             self._walls = TwoWalls(self._sums.copy())
 
     def solve(self):
-        """Replace forces on the stream function, transformed across the lines, by their answers."""
+        """Replace forces on the stream function, transformed across the lines, by psi."""
         (values,), basis = self.slabs.arrays, self._bases[self.axis]
         transform([basis.forward], self.axis, self.slabs)
         if self._sums.size:
@@ -205,8 +205,8 @@ def net_flows(grid, a, b):
     """The flows with a net flux that A0 = a - b Laplacian has besides those of the stream function.
 
     A uniform force along a periodic direction drives the flow w = A0^{-1} 1, between walls a
-    channel's.  For every stream function, <w, A0 Z psi> = <1, Z psi> = 0, so that the answers of
-    both parts add up: that of w to a force f is w <w, f> / <w, A0 w>.
+    channel's.  For every stream function, <w, A0 Z psi> = <1, Z psi> = 0, so that the responses
+    of both parts add up: that of w to a force f is w <w, f> / <w, A0 w>.
 
     Returns
     -------

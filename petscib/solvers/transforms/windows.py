@@ -1,4 +1,4 @@
-"""Fast direct solves of A0 u = r where both the force and the answer lie in a window.
+"""Fast direct solves of A0 u = r where both the force and the solution are wanted in a window only.
 
 Forces near a membrane, and the velocities that they cause there, need no transforms of the whole
 box.  Along the direction in which the window is long compared with the box, lines are transformed

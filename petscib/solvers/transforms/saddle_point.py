@@ -5,7 +5,7 @@ from petsc4py import PETSc
 
 from ...fluid.operators import assemble
 from .bases import X, Y, corner_bases, given_places, velocity_fields
-from .poisson import PoissonTransform
+from .diagonal import PoissonTransform
 from .slabs import Slabs, transform
 from .stream import Spectrum
 from .windows import extent
@@ -199,7 +199,7 @@ class StokesTransform:
                 spectrum.set_operator(a, b)
 
     def window(self, faces):
-        """The answer to forces on some faces, restricted to them.
+        """The velocities that forces on some faces cause there.
 
         Parameters
         ----------
@@ -256,7 +256,7 @@ class StokesTransform:
             On faces and cells; the mean of the source is left out.  None instead of the source
             stands for zero, at half the cost.
         velocity, pressure : PETSc.Vec
-            The answers; other vectors than force and source.  None instead of the pressure leaves
+            The solution; other vectors than force and source.  None instead of the pressure leaves
             it out.
         """
         force.copy(self._rest)
