@@ -74,3 +74,8 @@ def ours(error):
 
 def _is_petsc(error):
     return hasattr(error, "ierr")
+
+
+def shortened(text, longest=60):
+    """Text of the user's, short enough to be quoted in a message."""
+    return text if len(text) <= longest else text[:longest - 3] + "..."

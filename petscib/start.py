@@ -106,6 +106,9 @@ def _own(makers, curves, markers, others, comm):
     """Laws of the user's, each of which must be one.  Collective."""
     laws = []
     for make in makers:
+        if not callable(make):
+            raise InputError(f"laws: {make!r} cannot be called; allowed: a function of the curves "
+                             "and the markers that makes a law, or its class")
         law = make(curves, markers)
         on_root(comm, lambda law=law: check_law(law, [*others, *laws], markers))
         laws.append(law)

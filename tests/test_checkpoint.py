@@ -199,7 +199,7 @@ def test_a_damaged_file_is_refused(good, tmp_path, name):
     with pytest.raises(InputError) as caught:
         prepare(tmp_path / "out", restart=str(path), ts_max_steps="3")
     message = str(caught.value)
-    assert message.startswith(f"{path}: ") and reason in message
+    assert message.startswith(f"-restart {path}: ") and reason in message
     assert len(message.splitlines()) == 1 and len(message) < 400
     assert not (tmp_path / "out").exists()
 

@@ -61,7 +61,8 @@ from ..errors import InputError
 from ..membranes.curves import Curves
 from ..pressure import BARE
 from ..problem import State
-from .files import Dataset, explain, write_hdf5
+from .files import explain
+from .hdf5 import Dataset, write_hdf5
 
 FORMAT_VERSION = 2
 READABLE = 1, 2

@@ -15,7 +15,7 @@ from petsc4py import PETSc
 from .. import installation
 from ..errors import InputError, ours
 from . import checkpoint, files, lock, monitor, tables
-from .files import on_root
+from .files import by_root
 
 PREVIOUS = "previous"  # subfolder for what a new run would otherwise overwrite
 TABLES = ("diagnostics.csv", "outlines.csv")
@@ -67,7 +67,7 @@ class Results:
         self.last_row = None
         self.diagnostics = self.outlines = self.lock = None
         try:
-            on_root(self.comm, lambda: self._open(columns, header), InputError)
+            by_root(self.comm, lambda: self._open(columns, header), InputError)
         except InputError:
             self.release()
             raise
@@ -164,7 +164,7 @@ class Results:
                     self.outlines.write(tables.outline_row(
                         state.step, state.time, number, markers, self.longest))
 
-        on_root(self.comm, write)
+        by_root(self.comm, write)
         self.monitor.update(row)
 
     def write_fields(self, state):
@@ -185,9 +185,9 @@ class Results:
             On all ranks.
         """
         path = self.path(name or checkpoint.name_of(state.step))
-        on_root(self.comm, self._sync)
+        by_root(self.comm, self._sync)
         checkpoint.save(path, self.problem, state, self.settings, progress)
-        on_root(self.comm, self._prune)
+        by_root(self.comm, self._prune)
         return path
 
     def _sync(self):
@@ -226,7 +226,7 @@ class Results:
 
     def _write_summary(self, summary):
         text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
-        on_root(self.comm, lambda: files.write_text(self.path("summary.json"), text))
+        by_root(self.comm, lambda: files.write_text(self.path("summary.json"), text))
 
     def draw(self):
         """Draw the pictures on rank 0; what cannot be drawn does not fail the run."""

@@ -1,0 +1,118 @@
+"""What a run says first, and what it says last."""
+
+import itertools
+import math
+import os
+
+from ..schemes.registry import SCHEMES
+from .rows import entries, entry, is_number
+
+FINISHED = "finished"  # how a run has ended, unless a signal has stopped it
+
+
+def opening_line(settings, steps):
+    """What a run is going to do, and on which solvers: its first line.
+
+    Parameters
+    ----------
+    settings : Settings
+    steps : int or float
+        Those to come; infinite when nobody knows.
+    """
+    if settings.fft:
+        method = " and FGMRES" if settings.has_contrast else " and CG" if settings.vesicles else ""
+        solvers = "transforms" + method
+        others = "without -fft multigrid"
+    elif SCHEMES[settings.scheme].coupled:
+        solvers = "FGMRES with GAMG for velocity and pressure together"
+        others = "-fft: transforms, -scheme mcn: CG with GAMG for velocity, then for pressure"
+    else:
+        solvers = "CG with GAMG for velocity, then for pressure"
+        others = "-fft: transforms"
+    count = f"{steps:.0f} steps" if math.isfinite(steps) else "steps"
+    if settings.ts_max_steps is None:
+        count += f" to t = {settings.ts_max_time:g}"
+    return (
+        f"{settings.scene}, {settings.stag_grid_x} x {settings.stag_grid_y} cells, "
+        f"{settings.scheme} with dt = {settings.ts_dt:.4g}, {count}; {solvers} ({others})"
+    )
+
+
+def closing_lines(summary):
+    """The last lines of a run.
+
+    Parameters
+    ----------
+    summary : dict
+        The content of ``summary.json``; read are ``last_row`` (the last row of the diagnostics
+        table), ``steps`` (number done by this run), ``total_seconds``, ``output`` (the folder),
+        ``phase_seconds`` (of which the set-up counts), ``ended`` and, in ``options``, ``flow``,
+        ``shear_rate``, ``tether``, ``ts_max_time`` and ``ts_max_steps``. What is missing is left
+        out.
+
+    Returns
+    -------
+    list of str
+        Vesicles that tread have their frequency, those that tumble the time of their last half
+        turn.  Without a flow there is no line for either, without a vesicle none for errors.
+        Several vesicles share a line; of their errors the largest is given.
+    """
+    row = summary.get("last_row") or {}
+    lines = []
+
+    def add(title, text):
+        lines.append(f"{title:<20}{text}")
+
+    options = summary.get("options", {})
+    if options.get("flow") != "rest" and options.get("shear_rate") != 0:
+        halves = entries(row, "half_turn")
+        # Of one that tumbles a frequency of treading means nothing.
+        treads = [value for value, half in itertools.zip_longest(
+            entries(row, "treading_frequency"), halves) if half is None]
+        for title, values, unit in (
+            ("inclination / pi", entries(row, "inclination"), math.pi),
+            ("treading frequency", treads, 1.0),
+            ("half-turn period", halves, 1.0),
+        ):
+            values = [value for value in values if is_number(value)]
+            if values:
+                add(title, ", ".join(f"{value / unit:.5g}" for value in values))
+    if options.get("tether"):
+        for name in ("drag", "lift"):
+            add(name, ", ".join(f"{value:.5g}" for value in entries(row, name) if is_number(value)))
+    for title, name in (("area error", "area_error"), ("perimeter error", "perimeter_error")):
+        if is_number(entry(row, name)):
+            add(title, f"{entry(row, name):.3e}")
+    steps, seconds = summary.get("steps"), summary.get("total_seconds")
+    if steps and is_number(seconds):
+        set_up = summary.get("phase_seconds", {}).get("set-up", 0.0)
+        seconds -= set_up
+        add("seconds per step", f"{seconds / steps:.3g} ({steps} steps in {seconds:.3g} s, after "
+            f"{set_up:.2g} s of set-up)")
+    if summary.get("output"):
+        add("results in", summary["output"])
+        lines += _what_next(summary, options)
+    if summary.get("doubts"):
+        lines.append("not to be trusted without a look at")
+        lines += [f"  {doubt}" for doubt in summary["doubts"]]
+    if summary.get("ended", FINISHED) != FINISHED:
+        lines.append(f"stopped early; to go on: -restart latest -output {summary['output']}")
+    return lines
+
+
+def _what_next(summary, options):
+    """Lines for who sees their first results."""
+    folder = summary["output"]
+    pictures = [name for name in ("outlines.png", "fields.png")
+                if os.path.exists(os.path.join(folder, name))]
+    look = pictures or ["diagnostics.csv"]
+    lines = [f"{'look at':<20}" + ", ".join(os.path.join(folder, name) for name in look)]
+    end = options.get("ts_max_time")
+    if end is not None and summary.get("ended") == FINISHED:
+        on, most = f"-ts_max_time {2 * end:g}", options.get("ts_max_steps")
+        if most is not None:  # a restart refuses the limit that it has reached
+            on += f" -ts_max_steps {2 * most}"
+        lines.append(f"{'to go on':<20}-restart latest -output {folder} {on}")
+        if not options.get("given"):
+            lines.append(f"{'something else':<20}-scene list, -help, -stag_grid_x 128 -fft")
+    return lines
