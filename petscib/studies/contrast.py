@@ -15,8 +15,8 @@ import numpy as np
 from ..membranes.shapes import ellipse_perimeter
 from . import report
 from .campaign import Campaign
+from .ellipses import ellipse_axes, even_markers, reduced_area
 from .reference import CONTRAST, CRITICAL, FREE, FREE_CRITICAL, TUMBLING
-from .tanktreading import ellipse_axes
 
 SHAPES = (0.25, 0.5), (0.1, 0.3)
 CONTRASTS = {(0.25, 0.5): (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 15.0),
@@ -104,8 +104,7 @@ def study(campaign, curve, contrasts, free, free_contrasts, tumbling, critical, 
     for reduced in areas:
         for contrast in mapped:
             run("map", ellipse_axes(reduced, PERIMETER), contrast, map_cells, **level)
-    campaign.write(COLUMNS, [[one.get(name) for name in COLUMNS] for one in records],
-                   _markdown(records, found))
+    campaign.write_records(COLUMNS, records, _markdown(records, found))
     _draw(campaign.path("contrast.png"), records, found)
     return records, found
 
@@ -117,11 +116,9 @@ def free_bending():
 
 def declare(axes, contrast, cells, box, strain, **more):
     """Options of one run."""
-    # Point-symmetric markers keep it in the middle.
-    markers = 2 * round(ellipse_perimeter(axes) * cells / box / 2)
     return dict(
         dict(scene="tanktreading", scheme="gcn", delta="yang", fft=True, stag_grid_x=cells,
-             domain=(-box, box, -box, box), axes=axes, markers=markers,
+             domain=(-box, box, -box, box), axes=axes, markers=even_markers(axes, cells, box),
              viscosity_contrast=contrast, ts_dt=0.1 if contrast >= 0.2 else 1 / 16,
              ts_max_time=strain, ledger="record"), **more)
 
@@ -133,7 +130,7 @@ def judge(part, axes, contrast, cells, box, outcome):
         truth = FREE.get(contrast, np.nan) / np.pi, None
     record = dict(
         part=part, rx=axes[0], ry=axes[1], contrast=contrast, cells=cells, box=box,
-        reduced_area=4 * np.pi**2 * axes[0] * axes[1] / ellipse_perimeter(axes) ** 2,
+        reduced_area=reduced_area(axes),
         status=outcome.status, inclination_truth=truth[0], frequency_truth=truth[1],
         area_error=outcome.largest("area_error"), step_seconds=outcome.step_seconds,
         ledger_residual=outcome.largest("ledger_residual"))
@@ -299,8 +296,7 @@ def _draw(path, records, found):
                         [one["contrast"] for one in some], marker, color=colour, alpha=0.6,
                         label=kind, linestyle="none")
         for shape in SHAPES:
-            reduced = 4 * np.pi**2 * shape[0] * shape[1] / ellipse_perimeter(shape) ** 2
-            phases.plot([reduced], [CRITICAL[shape]], "k_", markersize=24)
+            phases.plot([reduced_area(shape)], [CRITICAL[shape]], "k_", markersize=24)
         phases.set(yscale="log", xlabel="reduced area", ylabel="viscosity contrast")
         phases.legend(fontsize=8)
 
