@@ -12,8 +12,8 @@ class Alerts:
     ----------
     settings : Settings
     problem : Problem
-    say : callable
-        Prints a line from rank 0.
+    results : Results
+        Which prints them.
 
     Attributes
     ----------
@@ -22,8 +22,8 @@ class Alerts:
         which has the markers.
     """
 
-    def __init__(self, settings, problem, say):
-        self.settings, self.problem, self.say = settings, problem, say
+    def __init__(self, settings, problem, results):
+        self.settings, self.problem, self.results = settings, problem, results
         self.said = {}
         self._fixed_steps = settings.ts_rtol is None  # else the error of a step is known
 
@@ -55,4 +55,4 @@ class Alerts:
             text = find()
             if text:
                 self.said[subject] = text
-                self.say(f"petscib: {text}")
+                self.results.say(f"petscib: {text}")

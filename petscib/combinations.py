@@ -7,13 +7,13 @@ import os
 
 import numpy as np
 
-from petscib.errors import InputError
-from petscib.fluid.flows import VARIES
-from petscib.membranes.shapes import ellipse_perimeter
-from petscib.own import Function, Points, is_own
-from petscib.schemes.registry import SCHEMES
-from petscib.settings import NOWHERE, as_given, text_of
-from petscib.vesicles import OWN, split
+from .errors import InputError
+from .fluid.flows import VARIES
+from .membranes.shapes import ellipse_perimeter
+from .own import Function, Points, is_own
+from .schemes.registry import SCHEMES
+from .settings import NOWHERE, as_given, text_of
+from .vesicles import OWN, split
 
 # The widest marker spacing, in cells. Prototypes were sound from 0.2 to 2 cells; wider and fluid
 # passes between the markers.

@@ -4,10 +4,10 @@ import os
 
 import numpy as np
 
-from petscib.errors import InputError
-from petscib.fluid.flows import velocity
-from petscib.schemes.registry import SCHEMES
-from petscib.vesicles import of
+from .errors import InputError
+from .fluid.flows import velocity
+from .schemes.registry import SCHEMES
+from .vesicles import of
 
 
 def typical_speed(values):

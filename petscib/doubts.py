@@ -60,6 +60,14 @@ class Doubts:
     def _is_first_order(self):
         return SCHEMES[self.settings.scheme].order == 1
 
+    def _tolerances(self):
+        """What solves more exactly."""
+        coupled = SCHEMES[self.settings.scheme].coupled
+        names = [f"-{'coupled' if coupled else 'momentum'}_ksp_rtol"]
+        if (self._last or {}).get("picard_iterations") is not None:
+            names.insert(0, "-picard_rtol")
+        return f"a smaller {' or '.join(names)}"
+
     def _drift(self):
         """Of area, perimeter and place."""
         settings, found = self.settings, []
@@ -78,7 +86,7 @@ class Doubts:
             found.append(
                 f"the vesicle has left the middle of the flow by {drift:.1%} of its radius, where "
                 "inclination and frequency mean little: an even number of -markers and of cells, "
-                "a smaller -picard_rtol or -ksp_rtol of the solver")
+                f"{self._tolerances()}")
         return found
 
     def _centroid_drift(self):
@@ -106,8 +114,7 @@ class Doubts:
             found.append(f"CFL number up to {cfl:.2g} with a scheme of first order: -ts_dt "
                          f"{settings.ts_dt * LARGEST_CFL / cfl:.2g}, or -scheme gcn")
         if residual > settings.ledger_tol:
-            found.append(f"energy ledger off by {residual:.1e}: a smaller -picard_rtol, or "
-                         "-ksp_rtol of the solver (-help solvers)")
+            found.append(f"energy ledger off by {residual:.1e}: {self._tolerances()}")
         return found
 
     def _spacing(self, state):

@@ -5,6 +5,7 @@ import math
 import signal
 import sys
 import traceback
+from collections import Counter
 from time import perf_counter, process_time, sleep
 
 from petsc4py import PETSc
@@ -76,7 +77,6 @@ class Driver:
 
     def __init__(self, settings, comm=None, interrupt=None, laws=(), measures=None,
                  note=None, entries=None):
-        events.forget()
         self.settings, self.laws, self.measures = settings, laws, measures or {}
         self.note = note or (lambda row: None)
         self.interrupt = interrupt or Interrupt()
@@ -87,8 +87,8 @@ class Driver:
         self.began, self.cpu_began = perf_counter(), process_time()
         self.longest_attempt = 0.0
         self.scheme = self.results = self.writing = None
-        self.entries = entries or Entries()
-        self.entries.use()
+        self.entries, self.counters = entries or Entries(), (Counter(), Counter())
+        self._take_over()
         self.traceback = ""
         comm = comm or PETSc.COMM_WORLD
         self.comm = comm.tompi4py()
@@ -98,6 +98,11 @@ class Driver:
             self.destroy()
             raise error
 
+    def _take_over(self):
+        """Have this run's options in PETSc's database, and its phases counted."""
+        self.entries.use()
+        events.count(*self.counters)
+
     def _refusal(self, comm):
         """Build all; what stands in the way on any rank, or None.  Collective."""
         trouble = None
@@ -105,7 +110,7 @@ class Driver:
             self._build(self.settings, comm)
         except (InputError, PETSc.Error) as error:
             trouble = ours(error)
-            # Python's own errors come in PETSc's clothes since 3.19; they are no bad input.
+            # Since 3.19 petsc4py wraps errors of Python's in its own; those are no bad input.
             if isinstance(trouble, Crash) and str(trouble).startswith("PETSc error"):
                 trouble = InputError(f"PETSc cannot set this up: {trouble}")
         except BaseException:  # perhaps on this rank alone: nothing collective any more
@@ -141,7 +146,7 @@ class Driver:
         expected = self._plan(header)
         kind = Results if settings.output != NOWHERE else Memory
         self.results = kind(settings, self.problem, expected, self.diagnostics.columns, header)
-        self.alerts = Alerts(settings, self.problem, self.results.say)
+        self.alerts = Alerts(settings, self.problem, self.results)
         self.writing = Writing(settings, self.problem, self.results, self.reached)
 
     def _plan(self, header):
@@ -237,7 +242,7 @@ class Driver:
 
     def _guarded(self, work):
         """Do a part of the run, in which one rank alone may fail.  Collective."""
-        self.entries.use()
+        self._take_over()
         try:
             try:
                 return work()
@@ -509,7 +514,7 @@ class Driver:
 
     def shown_state(self):
         """The present state with the pressure as it is shown.  Collective."""
-        self.entries.use()
+        self._take_over()
         return self.writing.shown.state(self.state)
 
     def save(self, path):

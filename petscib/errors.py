@@ -29,7 +29,7 @@ class CrossingError(SolveError):
 
 
 class Crash(SolveError):
-    """An exception that nobody foresaw: there is no going on from where it leaves the solvers.
+    """An unforeseen exception, after which the solvers cannot be used any more.
 
     Attributes
     ----------

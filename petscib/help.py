@@ -2,12 +2,12 @@
 
 import textwrap
 
-from petscib import scenes
-from petscib.errors import InputError, shortened
-from petscib.option_kinds import Flag, Path
-from petscib.options import GROUPS, MEMBRANE, SHAPE, TABLE, nearest, option_of
-from petscib.petsc_options import SOLVERS
-from petscib.vesicles import OWN
+from . import scenes
+from .errors import InputError, shortened
+from .option_kinds import Flag, Path
+from .options import GROUPS, MEMBRANE, SHAPE, TABLE, nearest, option_of
+from .petsc_options import SOLVERS
+from .vesicles import OWN
 
 _TOPICS = dict(zip(("run", "fluid", "shape", "membrane", "time", "results"), GROUPS))
 _HEAD = ("petscib: vesicles in viscous flow by energy stable immersed boundary methods.",

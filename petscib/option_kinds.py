@@ -9,8 +9,8 @@ import math
 import re
 from dataclasses import dataclass
 
-from petscib.own import Function, Points
-from petscib.settings import text_of
+from .own import Function, Points
+from .settings import text_of
 
 # Magnitudes whose powers and quotients a run can hold, in whatever units.
 SMALLEST, LARGEST = 1e-60, 1e60

@@ -10,13 +10,13 @@ import re
 from dataclasses import dataclass, replace
 from typing import Any
 
-from petscib import petsc_options, scenes
-from petscib.combinations import check, check_domain
-from petscib.coupling.kernels import KERNELS
-from petscib.derived import resolve
-from petscib.errors import InputError, shortened
-from petscib.fluid.flows import FLOWS
-from petscib.option_kinds import (
+from . import petsc_options, scenes
+from .combinations import check, check_domain
+from .coupling.kernels import KERNELS
+from .derived import resolve
+from .errors import InputError, shortened
+from .fluid.flows import FLOWS
+from .option_kinds import (
     Choice,
     Curve,
     Flag,
@@ -28,10 +28,10 @@ from petscib.option_kinds import (
     SceneName,
     Whole,
 )
-from petscib.own import is_own
-from petscib.schemes.registry import SCHEMES
-from petscib.settings import NOWHERE, Settings, text_of
-from petscib.vesicles import OWN, split
+from .own import is_own
+from .schemes.registry import SCHEMES
+from .settings import NOWHERE, Settings, text_of
+from .vesicles import OWN, split
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,8 @@ from .membranes.laws import Bending, Contact, Load, Tension, Tether, WallContact
 from .own import Points
 from .settings import as_given
 
-MARGIN = 2.0  # cells of fluid that an arrangement leaves between vesicles
+# Cells of fluid that an arrangement leaves between vesicles, twice what `guard` warns of.
+MARGIN = 2.0
 
 
 @dataclass

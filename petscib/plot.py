@@ -4,7 +4,7 @@ import argparse
 import os
 import sys
 
-from petscib.output import plots, views
+from .output import plots, views
 
 
 class _Parser(argparse.ArgumentParser):

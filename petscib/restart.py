@@ -60,10 +60,7 @@ def merge(database, comm):
 def _locate(now):
     """Header of the checkpoint meant by -restart and -output.  Rank 0 only."""
     if now["restart"] != LATEST:
-        try:
-            return checkpoint.read_header(now["restart"])
-        except InputError as error:
-            raise InputError(f"-restart {error}") from None
+        return checkpoint.read_header(now["restart"])
     asked = {name: now[name] for name in ("scene", "output") if now.get(name)}
     return _latest(options.read(asked).output)
 
@@ -75,7 +72,8 @@ def _latest(folder):
         try:
             headers.append(checkpoint.read_header(path))
         except InputError as error:
-            print(f"petscib: skipped: {error}", file=sys.stderr, flush=True)
+            why = str(error).removeprefix("-restart ")
+            print(f"petscib: skipped: {why}", file=sys.stderr, flush=True)
     if not headers:
         raise InputError(
             f"-restart {LATEST}: no complete checkpoint in {folder}; allowed: a file, or {LATEST} "
@@ -96,7 +94,7 @@ def _saved_options(header, output, own):
         texts = {**given_text(record), **own, "restart": header.path, "output": output}
         fresh = options.read(texts).to_dict()
     except InputError as error:
-        raise InputError(f"{header.path}: {error}") from None
+        raise InputError(f"-restart {header.path}: {error}") from None
     # A scene's or the table's default may have changed since the file was written.
     moved = {name for name, value in record.items()
              if name in options.TABLE and value is not None and fresh[name] != value}

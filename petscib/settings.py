@@ -7,9 +7,9 @@ refused in `petscib.combinations`.
 
 import re
 
-from petscib.coupling.kernels import KERNELS
-from petscib.own import Points, is_own
-from petscib.vesicles import of
+from .coupling.kernels import KERNELS
+from .own import Points, is_own
+from .vesicles import of
 
 NOWHERE = ""  # value of `output` for a run that writes no files
 

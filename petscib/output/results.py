@@ -32,9 +32,9 @@ OURS = (*TABLES, *SAVED, *OTHERS)  # all that a run writes; nothing else is touc
 class Results:
     """Writes what a run leaves behind.  Collective.
 
-    The folder holds one history: a new run, or a restart from an earlier step, first moves what
-    it is going to do again into the subfolder ``previous``.  What that held already stays, as
-    ``previous-1``, ``previous-2`` and so on.
+    The folder holds one history: a new run, or a restart from an earlier step, first moves the
+    files that it would write again into the subfolder ``previous``.  What that held already is kept
+    as ``previous-1``, ``previous-2`` and so on.
 
     Parameters
     ----------

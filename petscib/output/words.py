@@ -87,7 +87,8 @@ def closing_lines(summary):
     if steps and is_number(seconds):
         set_up = summary.get("phase_seconds", {}).get("set-up", 0.0)
         seconds -= set_up
-        add("seconds per step", f"{seconds / steps:.3g} ({steps} steps in {seconds:.3g} s, after "
+        count = f"{steps} step" if steps == 1 else f"{steps} steps"
+        add("seconds per step", f"{seconds / steps:.3g} ({count} in {seconds:.3g} s, after "
             f"{set_up:.2g} s of set-up)")
     if summary.get("output"):
         add("results in", summary["output"])
