@@ -62,8 +62,11 @@ class Driver:
 
     Attributes
     ----------
+    problem : Problem
     state : State
         The present one.
+    results : Results
+    writing : Writing
     doubts : Doubts
         Why the results may not be trusted.
     summary : dict or None

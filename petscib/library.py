@@ -99,6 +99,13 @@ class Simulation:
         settings = options.read(vesicle_files.expand(database, self.comm), writes)
         return settings, scenes.find(settings.scene), entries
 
+    @property
+    def _running(self):
+        """The driver, unless it has been freed."""
+        if self._driver is None:
+            raise RuntimeError("this simulation has been closed")
+        return self._driver
+
     # --- stepping
 
     def __iter__(self):
@@ -116,7 +123,7 @@ class Simulation:
         InputError, SolveError, OutputError
             On all ranks: a step failed, or results could not be written.
         """
-        for row in self._driver.steps():
+        for row in self._running.steps():
             for call in self._calls:
                 call.act(self)
             yield row
@@ -131,7 +138,7 @@ class Simulation:
         """
         for _ in self:
             pass
-        return self._driver.summary
+        return self._running.summary
 
     def every(self, function=None, *, steps=None, time=None):
         """Have a function called in the course of the run; also a decorator.  Not collective.
@@ -160,7 +167,7 @@ class Simulation:
         OutputError
             On all ranks.
         """
-        self._driver.save(str(path))
+        self._running.save(str(path))
 
     def close(self):
         """Free the solvers.  Collective.  Arrays that were asked for before stay."""
@@ -180,22 +187,22 @@ class Simulation:
     @property
     def step(self):
         """Number of the present step, 0 at the start."""
-        return self._driver.state.step
+        return self._running.state.step
 
     @property
     def time(self):
         """Present time."""
-        return self._driver.state.time
+        return self._running.state.time
 
     @property
     def finished(self):
         """Whether the run has come to its end."""
-        return self._driver.summary is not None
+        return self._running.summary is not None
 
     @property
     def signal(self):
         """Number of the signal that has ended the run, or 0."""
-        return self._driver.signal
+        return self._running.signal
 
     @property
     def markers(self):
@@ -203,14 +210,14 @@ class Simulation:
 
         A view of the state that cannot be written to; each step has a new one.
         """
-        view = self._driver.state.markers.view()
+        view = self._running.state.markers.view()
         view.flags.writeable = False
         return view
 
     @property
     def membranes(self):
         """The same as a list of views, one (M_k, 2) for each vesicle; empty but on rank 0."""
-        curves = self._driver.problem.curves
+        curves = self._running.problem.curves
         return [] if curves is None else curves.parts(self.markers)
 
     @property
@@ -219,15 +226,15 @@ class Simulation:
 
         That of the step's stage, once there was one.
         """
-        problem = self._driver.problem
+        problem = self._running.problem
         if problem.curves is None:
             return []
-        return problem.curves.edge_parts(problem.tension(self._driver.state))
+        return problem.curves.edge_parts(problem.tension(self._running.state))
 
     @property
     def last_row(self):
         """The newest row of diagnostics, a dict by column; None in place of what does not apply."""
-        return dict(self._driver.results.last_row or {})
+        return dict(self._running.results.last_row or {})
 
     @property
     def diagnostics(self):
@@ -240,7 +247,7 @@ class Simulation:
     @property
     def doubts(self):
         """Why the result is not to be trusted, a list of str; empty before the end."""
-        return list(self._driver.doubts.found)
+        return list(self._running.doubts.found)
 
     def fields(self):
         """The fluid on the whole grid of m x n cells.  Collective.
@@ -255,7 +262,7 @@ class Simulation:
         """
         from .output import saved
 
-        grid, state = self._driver.problem.grid, self._driver.shown_state()
+        grid, state = self._running.problem.grid, self._running.shown_state()
         u, v = grid.velocity_blocks(state.velocity)
         p = grid.pressure_block(state.pressure)
         parts = self.comm.gather((

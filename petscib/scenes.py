@@ -35,7 +35,7 @@ class Scene:
         Option name to typed value; every name must be in the option table.
     cfl : float
         The time step when ``-ts_dt`` is not given, in units of h / V: h = min(dx, dy), so that
-        refining the grid refines the time step too, and V the speed of `settings.typical_speed`.
+        refining the grid refines the time step too, and V the speed of `derived.typical_speed`.
     laws : tuple of callables
     measures : mapping of str to callable
         The same as of `petscib.Simulation`, for scenes in files of the user's.

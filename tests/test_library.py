@@ -167,6 +167,15 @@ def test_messages_name_the_points(points, message):
     assert str(caught.value).startswith(message)
 
 
+def test_a_closed_simulation_says_so():
+    simulation = petscib.Simulation(**SMALL)
+    simulation.close()
+    simulation.close()
+    for use in (simulation.run, simulation.fields, lambda: simulation.markers):
+        with pytest.raises(RuntimeError, match="has been closed"):
+            use()
+
+
 def test_what_cannot_be_called_is_refused():
     for words in (dict(laws=[3]), dict(measures={"width": 3})):
         with pytest.raises(petscib.InputError, match="3 cannot be called"):
