@@ -84,13 +84,13 @@ class Doubts:
         drift = self._centroid_drift()
         if drift > DRIFT:
             found.append(
-                f"the vesicle has left the middle of the flow by {drift:.1%} of its radius, where "
-                "inclination and frequency mean little: an even number of -markers and of cells, "
-                f"{self._tolerances()}")
+                f"the vesicle has drifted by {drift:.1%} of its radius from the middle of the "
+                "flow, so that inclination and frequency mean little: an even number of -markers "
+                f"and of cells, {self._tolerances()}")
         return found
 
     def _centroid_drift(self):
-        """Way of one vesicle from a point where the flow is at rest, over its radius."""
+        """How far a vesicle has gone from a place where the flow rests, over its radius."""
         settings, first, last = self.settings, self._first or {}, self._last or {}
         pushed = self.problem.loaded or self.problem.body_force is not None or settings.tether > 0
         alone = settings.vesicles == 1 and settings.flow != "rest"
