@@ -104,8 +104,14 @@ def check_curve(settings, vesicle, low, high, perimeter, names):
     InputError
     """
     names = tuple(map(vesicle.option, names))
+    _check_room(settings, names, low, high)
+    _check_markers(settings, vesicle, names, perimeter)
+
+
+def _check_room(settings, names, low, high):
+    """Refuse a curve that meets itself across a periodic side, or feels a wall."""
     a, b, c, d = settings.domain
-    dx, dy = (b - a) / settings.stag_grid_x, (d - c) / settings.stag_grid_y
+    dx, dy = settings.spacing
     reach = settings.reach
     placing = *names, "domain", "delta", "stag_grid_x", "stag_grid_y"
     for name, size, period in (("x", high[0] - low[0], b - a), ("y", high[1] - low[1], d - c)):
@@ -123,7 +129,10 @@ def check_curve(settings, vesicle, low, high, perimeter, names):
             _refuse(settings, placing, why, f"a distance of at least {reach:g} cells "
                     f"({reach * cell:.3g}), the reach of -delta {settings.delta}")
 
-    spacing = min(dx, dy)
+
+def _check_markers(settings, vesicle, names, perimeter):
+    """Refuse markers that are too few, or so far apart that fluid would pass between them."""
+    spacing = min(settings.spacing)
     markers = vesicle.markers or round(perimeter / (USUAL_SPACING * spacing))
     fewest = max(FEWEST_MARKERS, int(np.ceil(perimeter / (WIDEST_SPACING * spacing))))
     if markers < fewest:

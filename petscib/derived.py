@@ -69,22 +69,12 @@ def resolve(values, given, cfl):
     InputError
         There is no time step for these values.
     """
-    a, b, c, d = values["domain"]
-    if values["stag_grid_y"] is None or given & {"stag_grid_x", "stag_grid_y"} == {"stag_grid_x"}:
-        values["stag_grid_y"] = max(1, round(values["stag_grid_x"] * (d - c) / (b - a)))
-    elif given & {"stag_grid_x", "stag_grid_y"} == {"stag_grid_y"}:
-        values["stag_grid_x"] = max(1, round(values["stag_grid_y"] * (b - a) / (d - c)))
+    _square_cells(values, given)
     derived = {}
     if values["area_fraction"] is not None and values["arrangement"] != "none":
         _fill_box(values, given)
     if values["ts_dt"] is None:
-        cells = values["stag_grid_x"], values["stag_grid_y"]
-        speed = typical_speed(values)
-        dt = cfl * min((b - a) / cells[0], (d - c) / cells[1]) / speed if speed > 0 else 0.0
-        if not 0 < dt < np.inf:
-            raise InputError("-ts_dt: no default follows from a flow, fluid and membrane of such "
-                             "values; allowed: number above 0")
-        derived["ts_dt"] = dt
+        derived["ts_dt"] = _time_step(values, cfl)
     if values["startup"] is None:
         derived["startup"] = SCHEMES[values["scheme"]].startup
     for name in ("kink_correction", "conserve_area"):
@@ -100,6 +90,27 @@ def resolve(values, given, cfl):
     if values["vesicles"] == 0:
         derived.update(axes=None, sigma0=0.0, bending=0.0, rest_length=None)
     values.update({name: value for name, value in derived.items() if name not in given})
+
+
+def _square_cells(values, given):
+    """The number of cells in one direction that makes them square, unless both are given."""
+    a, b, c, d = values["domain"]
+    counted = given & {"stag_grid_x", "stag_grid_y"}
+    if values["stag_grid_y"] is None or counted == {"stag_grid_x"}:
+        values["stag_grid_y"] = max(1, round(values["stag_grid_x"] * (d - c) / (b - a)))
+    elif counted == {"stag_grid_y"}:
+        values["stag_grid_x"] = max(1, round(values["stag_grid_y"] * (b - a) / (d - c)))
+
+
+def _time_step(values, cfl):
+    """The scene's multiple of the cell size over the typical speed."""
+    a, b, c, d = values["domain"]
+    cells, speed = (values["stag_grid_x"], values["stag_grid_y"]), typical_speed(values)
+    dt = cfl * min((b - a) / cells[0], (d - c) / cells[1]) / speed if speed > 0 else 0.0
+    if not 0 < dt < np.inf:
+        raise InputError("-ts_dt: no default follows from a flow, fluid and membrane of such "
+                         "values; allowed: number above 0")
+    return dt
 
 
 def _fill_box(values, given):

@@ -61,6 +61,12 @@ class Settings:
         return kernel.stress_reach if wide else kernel.reach
 
     @property
+    def spacing(self):
+        """Sizes dx and dy of a cell."""
+        a, b, c, d = self.domain
+        return (b - a) / self.stag_grid_x, (d - c) / self.stag_grid_y
+
+    @property
     def line_axis(self):
         """Direction of lines across the box, 0 for x: the first in which it is periodic."""
         return 0 if "x" in self.periodic else 1

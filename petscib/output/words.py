@@ -57,42 +57,10 @@ def closing_lines(summary):
         turn.  Without a flow there is no line for either, without a vesicle none for errors.
         Several vesicles share a line; of their errors the largest is given.
     """
-    row = summary.get("last_row") or {}
-    lines = []
-
-    def add(title, text):
-        lines.append(f"{title:<20}{text}")
-
-    options = summary.get("options", {})
-    if options.get("flow") != "rest" and options.get("shear_rate") != 0:
-        halves = entries(row, "half_turn")
-        # Of one that tumbles a frequency of treading means nothing.
-        treads = [value for value, half in itertools.zip_longest(
-            entries(row, "treading_frequency"), halves) if half is None]
-        for title, values, unit in (
-            ("inclination / pi", entries(row, "inclination"), math.pi),
-            ("treading frequency", treads, 1.0),
-            ("half-turn period", halves, 1.0),
-        ):
-            values = [value for value in values if is_number(value)]
-            if values:
-                add(title, ", ".join(f"{value / unit:.5g}" for value in values))
-    if options.get("tether"):
-        for name in ("drag", "lift"):
-            add(name, ", ".join(f"{value:.5g}" for value in entries(row, name) if is_number(value)))
-    for title, name in (("area error", "area_error"), ("perimeter error", "perimeter_error")):
-        if is_number(entry(row, name)):
-            add(title, f"{entry(row, name):.3e}")
-    steps, seconds = summary.get("steps"), summary.get("total_seconds")
-    if steps and is_number(seconds):
-        set_up = summary.get("phase_seconds", {}).get("set-up", 0.0)
-        seconds -= set_up
-        count = f"{steps} step" if steps == 1 else f"{steps} steps"
-        add("seconds per step", f"{seconds / steps:.3g} ({count} in {seconds:.3g} s, after "
-            f"{set_up:.2g} s of set-up)")
+    row, options = summary.get("last_row") or {}, summary.get("options", {})
+    lines = [*_motion(row, options), *_errors(row), *_speed(summary)]
     if summary.get("output"):
-        add("results in", summary["output"])
-        lines += _what_next(summary, options)
+        lines += [_line("results in", summary["output"]), *_what_next(summary, options)]
     if summary.get("doubts"):
         lines.append("not to be trusted without a look at")
         lines += [f"  {doubt}" for doubt in summary["doubts"]]
@@ -101,19 +69,61 @@ def closing_lines(summary):
     return lines
 
 
+def _line(title, text):
+    return f"{title:<20}{text}"
+
+
+def _motion(row, options):
+    """How vesicles have moved in a flow, and what holds those that are held."""
+    found = []
+    if options.get("flow") != "rest" and options.get("shear_rate") != 0:
+        halves = entries(row, "half_turn")
+        # Of one that tumbles a frequency of treading means nothing.
+        treads = [value for value, half in itertools.zip_longest(
+            entries(row, "treading_frequency"), halves) if half is None]
+        found += [("inclination / pi", entries(row, "inclination"), math.pi),
+                  ("treading frequency", treads, 1.0), ("half-turn period", halves, 1.0)]
+    if options.get("tether"):
+        found += [(name, entries(row, name), 1.0) for name in ("drag", "lift")]
+    lines = []
+    for title, values, unit in found:
+        texts = [f"{value / unit:.5g}" for value in values if is_number(value)]
+        if texts:
+            lines.append(_line(title, ", ".join(texts)))
+    return lines
+
+
+def _errors(row):
+    names = ("area error", "area_error"), ("perimeter error", "perimeter_error")
+    return [_line(title, f"{entry(row, name):.3e}") for title, name in names
+            if is_number(entry(row, name))]
+
+
+def _speed(summary):
+    """Seconds of a step."""
+    steps, seconds = summary.get("steps"), summary.get("total_seconds")
+    if not steps or not is_number(seconds):
+        return []
+    set_up = summary.get("phase_seconds", {}).get("set-up", 0.0)
+    seconds -= set_up
+    count = f"{steps} step" if steps == 1 else f"{steps} steps"
+    return [_line("seconds per step", f"{seconds / steps:.3g} ({count} in {seconds:.3g} s, after "
+                                      f"{set_up:.2g} s of set-up)")]
+
+
 def _what_next(summary, options):
     """Lines for who sees their first results."""
     folder = summary["output"]
     pictures = [name for name in ("outlines.png", "fields.png")
                 if os.path.exists(os.path.join(folder, name))]
     look = pictures or ["diagnostics.csv"]
-    lines = [f"{'look at':<20}" + ", ".join(os.path.join(folder, name) for name in look)]
+    lines = [_line("look at", ", ".join(os.path.join(folder, name) for name in look))]
     end = options.get("ts_max_time")
     if end is not None and summary.get("ended") == FINISHED:
         on, most = f"-ts_max_time {2 * end:g}", options.get("ts_max_steps")
         if most is not None:  # a restart refuses the limit that it has reached
             on += f" -ts_max_steps {2 * most}"
-        lines.append(f"{'to go on':<20}-restart latest -output {folder} {on}")
+        lines.append(_line("to go on", f"-restart latest -output {folder} {on}"))
         if not options.get("given"):
-            lines.append(f"{'something else':<20}-scene list, -help, -stag_grid_x 128 -fft")
+            lines.append(_line("something else", "-scene list, -help, -stag_grid_x 128 -fft"))
     return lines
