@@ -68,7 +68,7 @@ def _locate(now):
 def _latest(folder):
     """Header of the complete checkpoint of the highest step in a folder."""
     headers = []
-    for path in files.named(folder, *checkpoint.NAMES):
+    for path in files.named(folder, *files.CHECKPOINTS):
         try:
             headers.append(checkpoint.read_header(path))
         except InputError as error:

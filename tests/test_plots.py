@@ -196,7 +196,7 @@ def test_blown_up_run_is_still_drawn(tmp_path):
 
 def test_newest_saved_file_is_drawn(tmp_path):
     write_fields(tmp_path / "final.h5", time=1.0)
-    write_fields(tmp_path / "checkpoint-000200.h5", time=2.0)
+    write_fields(tmp_path / "checkpoint-00000200.h5", time=2.0)
     os.utime(tmp_path / "final.h5", (1, 1))
     assert saved.read_fields(tmp_path).time == 2.0
 

@@ -66,7 +66,6 @@ from .hdf5 import Dataset, write_hdf5
 
 FORMAT_VERSION = 2
 READABLE = 1, 2
-NAMES = "checkpoint-#.h5", "final.h5"
 _NUMBERS = ("step", "time", "dt", "good_steps", "largest_energy", "wall_seconds")
 
 

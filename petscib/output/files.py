@@ -9,6 +9,8 @@ from contextlib import contextmanager, suppress
 
 from ..errors import OutputError
 
+# Names of the saved states; "#" stands for digits.
+CHECKPOINTS = "checkpoint-#.h5", "final.h5"
 PART = ".part"  # added to the name of a file that is being written
 
 

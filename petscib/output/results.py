@@ -19,7 +19,7 @@ from .files import by_root
 
 PREVIOUS = "previous"  # subfolder for what a new run would otherwise overwrite
 TABLES = ("diagnostics.csv", "outlines.csv")
-SAVED = (*checkpoint.NAMES, "fields-#.h5")
+SAVED = (*files.CHECKPOINTS, "fields-#.h5")
 TRACEBACK = "traceback.txt"
 PICTURES = (
     "outlines.png", "inclination.png", "conservation.png", "energy.png", "ledger.png", "fields.png",
@@ -197,7 +197,7 @@ class Results:
                 table.sync()
 
     def _prune(self):
-        old = files.named(self.folder, checkpoint.NAMES[0])[: -self.settings.checkpoint_keep]
+        old = files.named(self.folder, files.CHECKPOINTS[0])[: -self.settings.checkpoint_keep]
         for path in old:
             os.unlink(path)
 
