@@ -14,7 +14,7 @@ test:
 run:
 	@./run $(ARGS)
 
-# make studies ARGS=-quick: half an hour instead of some four
+# make studies ARGS=-quick: half an hour instead of some four hours
 studies:
 	@needs="matplotlib"; $(SETUP); "$$python" -m petscib.studies $(ARGS)
 

@@ -22,13 +22,13 @@ def main(arguments=None):
 
     from mpi4py import MPI
 
-    from . import options, petsc, sources
+    from . import help, petsc, sources
     from .agreement import on_root
     from .errors import Error
     from .output import console
 
     world = MPI.COMM_WORLD
-    topic, arguments = options.help_asked(arguments)
+    topic, arguments = help.help_asked(arguments)
     version = [word for word in arguments if word.lower() in ("-version", "--version")]
     try:
         on_root(world, lambda: sources.check(arguments))
@@ -52,10 +52,10 @@ def main(arguments=None):
         if topic == "petsc":
             return _set_up(database)
         asked = {} if topic is None else {"help": topic}
-        information = options.information({**database, **asked})
+        information = help.information({**database, **asked})
         if information is not None:
             if world.rank == 0:
-                print(information)
+                print(information, end="")
             return 0
         return _simulate(database, world.rank == 0)
     except Error as error:
@@ -82,16 +82,13 @@ def _set_up(database):
 def _simulate(database, root):
     from .interrupt import Interrupt, exit_status
     from .library import Simulation
-    from .output.monitor import closing_lines
+    from .output.words import closing_lines
 
     with Interrupt() as interrupt, Simulation(
             interrupt=interrupt, **{"output": True, **database}) as simulation:
         summary = simulation.run()
         if root:
             print("\n".join(closing_lines(summary)), flush=True)
-            if simulation.signal:
-                print("stopped early; to go on: -restart latest -output "
-                      f"{simulation.settings.output}")
         return exit_status(simulation.signal)
 
 

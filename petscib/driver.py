@@ -5,15 +5,17 @@ import math
 import signal
 import sys
 import traceback
-from contextlib import suppress
+from collections import Counter
 from time import perf_counter, process_time, sleep
 
 from petsc4py import PETSc
 
-from . import accuracy, energy, events, guard, schemes, solver_options, turning
-from .accuracy import Doubts
+from . import energy, events, guard, schemes, solver_options, turning
 from .agreement import Agreement, on_rank, on_root
+from .alerts import GAP, TIME_STEP, Alerts
 from .diagnostics import Diagnostics
+from .doubts import Doubts
+from .entries import Entries
 from .errors import Crash, CrossingError, InputError, OutputError, SolveError, WallError, ours
 from .events import phase, stage
 from .interrupt import Interrupt
@@ -21,14 +23,12 @@ from .localerror import LocalError
 from .output import checkpoint
 from .output.checkpoint import Progress
 from .output.memory import Memory
-from .output.monitor import opening_line
-from .output.rescue import Rescue
 from .output.results import Results
-from .pressure import ShownPressure
+from .output.words import FINISHED, opening_line
 from .settings import NOWHERE, text_of
-from .solvers import krylov
 from .start import build_problem
 from .stepsize import StepSize
+from .writing import Writing
 
 ROUND_OFF = 1e-6  # of a time step: what is left of a run when it counts as finished
 PATIENCE = 5.0  # seconds that a rank which has failed waits for the others, or the longest attempt
@@ -57,11 +57,16 @@ class Driver:
         Columns of the diagnostics to add: each gives, without arguments, a number on rank 0.
     note : callable, optional
         Is given each row of diagnostics.
+    entries : Entries, optional
+        What the user of this run alone has told PETSc.
 
     Attributes
     ----------
+    problem : Problem
     state : State
         The present one.
+    results : Results
+    writing : Writing
     doubts : Doubts
         Why the results may not be trusted.
     summary : dict or None
@@ -74,8 +79,7 @@ class Driver:
     """
 
     def __init__(self, settings, comm=None, interrupt=None, laws=(), measures=None,
-                 note=None):
-        events.forget()
+                 note=None, entries=None):
         self.settings, self.laws, self.measures = settings, laws, measures or {}
         self.note = note or (lambda row: None)
         self.interrupt = interrupt or Interrupt()
@@ -83,14 +87,12 @@ class Driver:
         self.ledger = self.summary = None
         self.begun = False
         self.missed = None, 1  # local error of the last step, and its order
-        self.saved_in = None
-        self.began = self.saved_at = perf_counter()
-        self.cpu_began = process_time()
+        self.began, self.cpu_began = perf_counter(), process_time()
         self.longest_attempt = 0.0
-        self.scheme = self.results = self.shown = None
-        self.first_default = krylov.entered_defaults()
+        self.scheme = self.results = self.writing = None
+        self.entries, self.counters = entries or Entries(), (Counter(), Counter())
+        self._take_over()
         self.traceback = ""
-        self.writing = self.said_too_long = False
         comm = comm or PETSc.COMM_WORLD
         self.comm = comm.tompi4py()
         self.agreement = Agreement(self.comm)
@@ -99,6 +101,11 @@ class Driver:
             self.destroy()
             raise error
 
+    def _take_over(self):
+        """Have this run's options in PETSc's database, and its phases counted."""
+        self.entries.use()
+        events.count(*self.counters)
+
     def _refusal(self, comm):
         """Build all; what stands in the way on any rank, or None.  Collective."""
         trouble = None
@@ -106,11 +113,11 @@ class Driver:
             self._build(self.settings, comm)
         except (InputError, PETSc.Error) as error:
             trouble = ours(error)
-            # Python's own errors come in PETSc's clothes since 3.19; they are no bad input.
+            # Since 3.19 petsc4py wraps errors of Python's in its own; those are no bad input.
             if isinstance(trouble, Crash) and str(trouble).startswith("PETSc error"):
                 trouble = InputError(f"PETSc cannot set this up: {trouble}")
         except BaseException:  # perhaps on this rank alone: nothing collective any more
-            krylov.withdraw_defaults(self.first_default)
+            self.entries.withdraw()
             raise
         agreed = self.agreement.meet([trouble is not None], PATIENCE if trouble else None)
         if agreed is None:
@@ -123,14 +130,11 @@ class Driver:
         header = on_root(self.comm, self._header) if settings.restart is not None else None
         self.progress = header.progress if header else Progress()
         self.progress.solver_options = asked
+        self.wall_seconds_before = self.progress.wall_seconds
         with stage("set-up"), phase("set-up"):
             self.remarks = []
             self.problem, self.state = build_problem(
                 settings, comm, header, self.remarks, self.laws)
-            self.warning = ""
-            if settings.ts_rtol is None:
-                self.warning = accuracy.of_flow(
-                    settings, self.state.markers, self.problem.curves)
             on_root(self.comm, lambda: self._check_start(header))
             self._make_scheme()
             if self.problem.membranes is not None:
@@ -142,6 +146,15 @@ class Driver:
             if settings.ts_rtol is not None:
                 order = schemes.SCHEMES[settings.scheme].order
                 self.local_error = LocalError(self.problem, order)
+        expected = self._plan(header)
+        kind = Results if settings.output != NOWHERE else Memory
+        self.results = kind(settings, self.problem, expected, self.diagnostics.columns, header)
+        self.alerts = Alerts(settings, self.problem, self.results)
+        self.writing = Writing(settings, self.problem, self.results, self.reached)
+
+    def _plan(self, header):
+        """Decide the first time step and the last step; how many steps are to be expected."""
+        settings = self.settings
         changed = header and self.progress.dt != header.options["ts_dt"]
         self.step_size = StepSize(
             settings.ts_dt,
@@ -157,13 +170,8 @@ class Driver:
         # Fixed steps are counted: the round-off in the sum of many must not add one.
         fixed = settings.ts_rtol is None and not settings.ts_adapt
         self.last_step = min(steps, most) if fixed else most
-        self.wall_seconds_before = self.progress.wall_seconds
-        self.rescue = Rescue(self.comm)
         # Nobody knows how many steps a tolerance takes, but that they are few.
-        expected = min(steps, most) if settings.ts_rtol is None else 1
-        kind = Results if settings.output != NOWHERE else Memory
-        self.results = kind(settings, self.problem, expected, self.diagnostics.columns, header)
-        self.shown = ShownPressure(self.problem, settings.fft)
+        return min(steps, most) if settings.ts_rtol is None else 1
 
     def _make_scheme(self):
         """The scheme with its solvers, once more after a failure.  Collective."""
@@ -197,13 +205,8 @@ class Driver:
                 f"the vesicle of {header.path} is from the walls"
             ) from None
 
-    def run(self, after_step=None):
-        """Step until the end time, the last step or a signal; leave the results.
-
-        Parameters
-        ----------
-        after_step : callable, optional
-            Called after each step, without arguments.
+    def run(self):
+        """Step until the end time, the last step or a signal; leave the results.  Collective.
 
         Returns
         -------
@@ -218,8 +221,7 @@ class Driver:
             Results could not be written.
         """
         for _ in self.steps():
-            if after_step is not None:
-                after_step()
+            pass
         return self.summary
 
     def steps(self):
@@ -243,6 +245,7 @@ class Driver:
 
     def _guarded(self, work):
         """Do a part of the run, in which one rank alone may fail.  Collective."""
+        self._take_over()
         try:
             try:
                 return work()
@@ -255,30 +258,40 @@ class Driver:
             self.results.release()
             if not isinstance(error, OutputError):
                 raise
-            last = f"; the last checkpoint is {self.saved_in}" if self.saved_in else ""
-            raise OutputError(f"results could not be written: {error}{last}") from None
+            raise OutputError(
+                f"results could not be written: {error}{self._last_checkpoint}") from None
+
+    @property
+    def _last_checkpoint(self):
+        """The end of a message: where the last checkpoint is, if there is one."""
+        path = self.writing.saved_in
+        return f"; the last checkpoint is {path}" if path else ""
 
     def _begin(self):
         results, settings = self.results, self.settings
         self.begun = True
         last = self.last_step if self.last_step < math.inf else None
-        results.monitor.start(self.first_step, self.state.time, settings.ts_max_time, last)
-        self.close = guard.near(self.problem, self.state.markers)
+        opening = []
+        if settings.restart is not None and results.writes:
+            opening.append(f"continuing from {settings.restart}")
         if settings.monitor != "none":
-            self.remarks.insert(0, opening_line(settings, self.last_step - self.first_step))
-        for remark in filter(None, [*self.remarks, self.warning, self.close]):
-            results.say(f"petscib: {remark}")
+            opening.append(opening_line(settings, self.last_step - self.first_step))
+        for line in (*opening, *self.remarks):
+            results.say(f"petscib: {line}")
+        results.monitor.start(self.first_step, self.state.time, settings.ts_max_time, last)
+        self.alerts.at_start(self.state)
         with stage("stepping"):
             if settings.restart is None:  # else the row of the first state is there already
                 self._record(None)
-                self._write_fields()
-            self._keep()
-        self.interrupt.at_once = self._save_at_once
+                self.writing.fields(self.state)
+            self.writing.keep(self.state)
+        self.interrupt.at_once = lambda: self.writing.save_at_once(self.state)
 
     def _next(self):
         with stage("stepping"):
             self._advance()
-            self._save_when_due()
+            if self._save_is_due():
+                self._save()
             if self.state.step == self.first_step + 1:
                 self._warn_of_unread_options()
 
@@ -288,11 +301,10 @@ class Driver:
         if not self.signal:
             self._save("final.h5")
         results.close()
-        ended = signal.Signals(self.signal).name if self.signal else "finished"
+        ended = signal.Signals(self.signal).name if self.signal else FINISHED
         seconds = perf_counter() - self.began, process_time() - self.cpu_began
         with stage("output"), phase("output"):
-            told = {"time step": self.warning, "gap": self.close}
-            said = [name for name, text in told.items() if text]
+            said = [subject for subject in (TIME_STEP, GAP) if subject in self.alerts.said]
             self.doubts.end(self.state, said)
             summary = results.summarise(
                 self.state.step - self.first_step, *seconds, events.seconds, ended,
@@ -349,13 +361,12 @@ class Driver:
             PETSc.garbage_cleanup()
         self.step_size.accept(*self.missed)
         self.state = step.end
-        self._warn_of_long_steps(step)
-        self._warn_of_narrow_gaps()
+        self.alerts.after_step(step)
         if self.keeping:
-            self._keep()
+            self.writing.keep(self.state)
         if self._has_row(self.state):
             self._record(step)
-        self._write_fields()
+        self.writing.fields(self.state)
         step.discard()
 
     def _heed_advection(self):
@@ -365,12 +376,7 @@ class Driver:
             return
         longest = advection.longest_step(self.state.velocity, self.problem.least_mu)
         self.step_size.limit(longest)
-        dt = self._next_dt()
-        if dt > longest and not self.said_too_long:
-            self.said_too_long = True
-            self.results.say(
-                f"petscib: explicit advection may be unstable with time steps above {longest:.3g} "
-                f"at this speed, and this one is {dt:.3g}; try -advection implicit or -ts_adapt")
+        self.alerts.before_step(self._next_dt(), longest)
 
     def _attempt(self, dt):
         """The step and None, or None and the error that all ranks agree upon.  Collective."""
@@ -405,11 +411,10 @@ class Driver:
 
         Collective, but for a rank in trouble whose others do not come: it ends the job.
         """
-        minutes = self.settings.checkpoint_minutes
-        late = minutes and perf_counter() - self.saved_at >= 60 * minutes
-        root, caught = self.comm.rank == 0, self.interrupt.caught
+        root, writing = self.comm.rank == 0, self.writing  # whose clock counts
         agreed = self.agreement.meet(
-            [trouble is not None, caught, root and late, root and self.rescue.is_due],
+            [trouble is not None, self.interrupt.caught, root and writing.is_late,
+             root and writing.rescue.is_due],
             max(PATIENCE, self.longest_attempt) if trouble else None,
         )
         if agreed is None:
@@ -470,36 +475,19 @@ class Driver:
             f"{advice}; {saved}"
         )
 
-    def _warn_of_long_steps(self, step):
-        """Say once when a step has carried the membrane too far; rank 0 has the markers."""
-        if not self.warning and self.local_error is None:
-            self.warning = accuracy.of_step(
-                self.settings, step.start.markers, step.end.markers, step.dt,
-                self.problem.curves)
-            if self.warning:
-                self.results.say(f"petscib: {self.warning}")
-
-    def _warn_of_narrow_gaps(self):
-        """Say once when two membranes have come too near each other."""
-        if not self.close:
-            self.close = guard.near(self.problem, self.state.markers)
-            if self.close:
-                self.results.say(f"petscib: {self.close}")
-
     def _abandon(self, trouble):
         """End the job: the others wait for what this rank cannot do any more.  Not collective."""
-        while not self.rescue.claim():
+        while not self.writing.rescue.claim():
             sleep(60)  # another rank is ending it
         if self.traceback:
             self.results.keep_traceback(self.traceback)
         try:
             if not self.results.writes:
                 raise OutputError("there is no -output")
-            path = self.rescue.save(self.results.folder, self.problem, self.settings)
-            saved = f"the newest state within its reach is in {path}"
+            saved = f"the newest state within its reach is in {self.writing.save_copies()}"
         except Exception as failure:
-            last = f"; the last checkpoint is {self.saved_in}" if self.saved_in else ""
-            saved = f"the state before it could not be saved ({ours(failure)}){last}"
+            saved = (f"the state before it could not be saved ({ours(failure)})"
+                     f"{self._last_checkpoint}")
         error = self._last_words(on_rank(trouble, self.comm.rank), saved)
         self.results.monitor.write(f"petscib: {error}")
         self.comm.Abort(error.exit_status)
@@ -512,54 +500,37 @@ class Driver:
         row["local_error"], row["wall_seconds"] = self.missed[0], self._wall_seconds()
         self.doubts.note(row)
         self.note(row)
-        self._output(self.results.record, row, self.state)
+        self.writing.row(row, self.state)
 
-    def _write_fields(self):
-        every = self.settings.xdmf_every
-        if every and self.state.step % every == 0:
-            self._output(lambda: self.results.write_fields(self.shown.state(self.state)))
-
-    def _save_when_due(self):
-        """Do what signals, the clock and the step's number ask for.  Collective."""
-        every = self.settings.checkpoint_every
-        if (self.signal or self.late or every and self.state.step % every == 0) and not (
-            self._is_last(self.state) and not self.signal
-        ):
-            self._save()
+    def _save_is_due(self):
+        """Whether a signal, the clock or the step's number asks for a checkpoint now."""
+        if self._is_last(self.state) and not self.signal:  # final.h5 is about to come
+            return False
+        return self.signal or self.late or self.writing.is_due(self.state)
 
     def _save(self, name=None, with_jumps=True):
-        """Write a checkpoint, as a rule with the pressure's jumps.  Returns its path."""
-        self.saved_at = perf_counter()
-        if not self.results.writes:
-            return None
-
-        def write():
-            state = self.shown.state(self.state) if with_jumps else self.state
-            return self.results.save(state, self.reached(), name)
-
-        self.saved_in = self._output(write)
-        if self.shown.trouble:
-            self.results.say(
-                f"petscib: the pressure in {self.saved_in} is without its jumps across the "
-                f"membranes: {self.shown.trouble}")
-        if self.scheme is not None:
+        """Write a checkpoint, see `Writing.save`.  Returns its path."""
+        path = self.writing.save(self.state, name, with_jumps)
+        if path is not None:
             self.scheme.forget()
-        return self.saved_in
+        return path
 
-    def _save_at_once(self):
-        """Save the newest state that all ranks have kept, in the middle of a step.  Any rank."""
-        if self.comm.rank == 0 and self.results.writes and not self.writing:
-            with suppress(Exception):  # the orderly end may still come
-                if self.comm.size == 1:
-                    self._save()
-                else:
-                    self.rescue.save(self.results.folder, self.problem, self.settings)
+    def shown_state(self):
+        """The present state with the pressure as it is shown.  Collective."""
+        self._take_over()
+        return self.writing.shown.state(self.state)
 
-    def _keep(self):
-        """Keep the state for the case that this or another rank fails alone.  Not collective."""
-        if self.rescue.wanted and self.results.writes:
-            with phase("rescue copies"):
-                self.rescue.keep(self.state, self.reached())
+    def save(self, path):
+        """Write a checkpoint to any path.  Collective.
+
+        Raises
+        ------
+        OutputError
+            On all ranks.
+        """
+        checkpoint.save(
+            path, self.problem, self.shown_state(), self.settings, self.reached())
+        self.scheme.forget()  # as after every checkpoint: a restart is the uninterrupted run
 
     def reached(self):
         """The progress up to the present state."""
@@ -572,14 +543,6 @@ class Driver:
     def _wall_seconds(self):
         return self.wall_seconds_before + perf_counter() - self.began
 
-    def _output(self, write, *arguments):
-        self.writing = True
-        try:
-            with stage("output"), phase("output"):
-                return write(*arguments)
-        finally:
-            self.writing = False
-
     def _warn_of_unread_options(self):
         """Name options for the solvers that no solver has read, once all have been set up."""
         # The tube's solver need not live on every rank.
@@ -587,14 +550,14 @@ class Driver:
             self.results.say(f"petscib: no solver has read -{name}")
 
     def destroy(self):
-        """Free the solvers, before PETSc goes, and forget their defaults."""
+        """Free the solvers, before PETSc goes, and withdraw what PETSc was told for them."""
         if self.scheme is not None:
             self.scheme.destroy()
-        if self.shown is not None:
-            self.shown.destroy()
+        if self.writing is not None:
+            self.writing.destroy()
         if self.results is not None:
             self.results.release()
         if self.agreement is not None:
             self.agreement.destroy()
             self.agreement = None
-        krylov.withdraw_defaults(self.first_default)
+        self.entries.withdraw()

@@ -29,7 +29,7 @@ class CrossingError(SolveError):
 
 
 class Crash(SolveError):
-    """An exception that nobody foresaw: there is no going on from where it leaves the solvers.
+    """An unforeseen exception, after which the solvers cannot be used any more.
 
     Attributes
     ----------
@@ -74,3 +74,8 @@ def ours(error):
 
 def _is_petsc(error):
     return hasattr(error, "ierr")
+
+
+def shortened(text, longest=60):
+    """Text of the user's, short enough to be quoted in a message."""
+    return text if len(text) <= longest else text[:longest - 3] + "..."

@@ -16,10 +16,16 @@ _events, _stages = {}, {}
 _inner = [0.0]  # seconds in phases inside each of those at work, the outermost first
 
 
-def forget():
-    """Begin to count anew."""
-    seconds.clear()
-    calls.clear()
+def count(run_seconds, run_calls):
+    """Count in these from now on: of several simulations in a script each has its own.
+
+    Parameters
+    ----------
+    run_seconds, run_calls : Counter
+        `seconds` and `calls` become these.
+    """
+    global seconds, calls
+    seconds, calls = run_seconds, run_calls
 
 
 @contextmanager

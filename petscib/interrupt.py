@@ -16,8 +16,8 @@ class Interrupt:
     caught : int
         Number of the signal noted last; 0 when there was none.
     at_once : callable or None
-        What SIGTERM also sets off wherever the program is: who sends it may not wait for the end
-        of a step.
+        Called when SIGTERM comes, wherever the program is: its sender may not wait for the end of
+        the step.
     """
 
     def __init__(self):

@@ -141,7 +141,7 @@ def main(arguments):
         signal.signal(kind, stop)
     signal.signal(signal.SIGUSR1, lambda kind, frame: job.send_signal(kind))
     status = job.wait()
-    if asked and status == 0:
+    if asked and (status == 0 or len(asked) > 1):  # of a job killed, the launcher's own says little
         return 128 + asked[0]
     return status if status >= 0 else 128 - status
 

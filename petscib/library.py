@@ -7,6 +7,7 @@ import numpy as np
 
 from . import petsc
 from .agreement import everywhere, on_root
+from .own import Points
 
 
 class Simulation:
@@ -57,27 +58,29 @@ class Simulation:
 
         from . import installation, uncaught
         from .driver import Driver
+        from .errors import InputError
 
         self.comm = MPI.COMM_WORLD if comm is None else comm
         uncaught.end_the_job(self.comm)
         installation.check()
-        self._driver, self._entered, self._calls, self._table = None, [], [], {}
-        try:
-            self.settings, scene = self._read(arguments or [], options)
-            named = {**scene.measures, **(measures or {})}
-            given = {name: lambda measure=measure: measure(self) for name, measure in named.items()}
-            self._driver = Driver(
-                self.settings, PETSc.Comm(self.comm), interrupt, (*scene.laws, *laws), given,
-                self._note)
-        except BaseException:
-            self._withdraw()
-            raise
+        self._driver, self._calls, self._table = None, [], {}
+        self.settings, scene, entries = self._read(arguments or [], options)
+        named = {**scene.measures, **(measures or {})}
+        for name, measure in named.items():
+            if not callable(measure):
+                raise InputError(f"measures: {name}: {measure!r} cannot be called; allowed: a "
+                                 "function of the simulation")
+        given = {name: lambda measure=measure: measure(self) for name, measure in named.items()}
+        self._driver = Driver(
+            self.settings, PETSc.Comm(self.comm), interrupt, (*scene.laws, *laws), given,
+            self._note, entries)
         # PETSc must not find our objects at its own end.
         atexit.register(self.close)
 
     def _read(self, arguments, keywords):
-        """Settings and scene.  Collective."""
-        from . import options, restart, scenes, sources, vesicle_files
+        """Settings, scene, and what PETSc is told by its user.  Collective."""
+        from . import options, petsc_options, restart, scenes, sources, vesicle_files
+        from .entries import Entries
 
         on_root(self.comm, lambda: sources.check(arguments))
         database = _texts(keywords)
@@ -88,32 +91,20 @@ class Simulation:
         scene = str(database.get("scene", ""))
         if scene.endswith(".py"):  # which could fail on one rank alone
             everywhere(self.comm, lambda: scenes.find(scene))
-        self._enter({name: text for name, text in database.items() if options.is_petsc(name)})
         database = restart.merge(database, self.comm)
+        entries = Entries({name: text for name, text in database.items()
+                           if petsc_options.is_petsc(name)})
         if not writes:
             database = {"monitor": "none", "plot": "false", **database}
         settings = options.read(vesicle_files.expand(database, self.comm), writes)
-        return settings, scenes.find(settings.scene)
+        return settings, scenes.find(settings.scene), entries
 
-    def _enter(self, texts):
-        """Enter options that are PETSc's in its database, for the life of the simulation."""
-        from petsc4py import PETSc
-
-        database = PETSc.Options()
-        there = database.getAll()
-        for name, text in texts.items():
-            if there.get(name, "") != (text or "") or name not in there:
-                self._entered.append((name, there.get(name), name in there))
-                database[name] = text or ""
-
-    def _withdraw(self):
-        from petsc4py import PETSc
-
-        while self._entered:
-            name, text, was_there = self._entered.pop()
-            PETSc.Options().delValue(name)
-            if was_there:
-                PETSc.Options()[name] = text or ""
+    @property
+    def _running(self):
+        """The driver, unless it has been freed."""
+        if self._driver is None:
+            raise RuntimeError("this simulation has been closed")
+        return self._driver
 
     # --- stepping
 
@@ -132,7 +123,7 @@ class Simulation:
         InputError, SolveError, OutputError
             On all ranks: a step failed, or results could not be written.
         """
-        for row in self._driver.steps():
+        for row in self._running.steps():
             for call in self._calls:
                 call.act(self)
             yield row
@@ -147,7 +138,7 @@ class Simulation:
         """
         for _ in self:
             pass
-        return self._driver.summary
+        return self._running.summary
 
     def every(self, function=None, *, steps=None, time=None):
         """Have a function called in the course of the run; also a decorator.  Not collective.
@@ -176,12 +167,7 @@ class Simulation:
         OutputError
             On all ranks.
         """
-        from .output import checkpoint
-
-        driver = self._driver
-        state = driver.shown.state(driver.state)
-        checkpoint.save(str(path), driver.problem, state, self.settings, driver.reached())
-        driver.scheme.forget()  # as after every checkpoint: a restart is the uninterrupted run
+        self._running.save(str(path))
 
     def close(self):
         """Free the solvers.  Collective.  Arrays that were asked for before stay."""
@@ -189,7 +175,6 @@ class Simulation:
         driver, self._driver = self._driver, None
         if driver is not None:
             driver.destroy()
-            self._withdraw()
 
     def __enter__(self):
         return self
@@ -202,22 +187,22 @@ class Simulation:
     @property
     def step(self):
         """Number of the present step, 0 at the start."""
-        return self._driver.state.step
+        return self._running.state.step
 
     @property
     def time(self):
         """Present time."""
-        return self._driver.state.time
+        return self._running.state.time
 
     @property
     def finished(self):
         """Whether the run has come to its end."""
-        return self._driver.summary is not None
+        return self._running.summary is not None
 
     @property
     def signal(self):
         """Number of the signal that has ended the run, or 0."""
-        return self._driver.signal
+        return self._running.signal
 
     @property
     def markers(self):
@@ -225,14 +210,14 @@ class Simulation:
 
         A view of the state that cannot be written to; each step has a new one.
         """
-        view = self._driver.state.markers.view()
+        view = self._running.state.markers.view()
         view.flags.writeable = False
         return view
 
     @property
     def membranes(self):
         """The same as a list of views, one (M_k, 2) for each vesicle; empty but on rank 0."""
-        curves = self._driver.problem.curves
+        curves = self._running.problem.curves
         return [] if curves is None else curves.parts(self.markers)
 
     @property
@@ -241,15 +226,15 @@ class Simulation:
 
         That of the step's stage, once there was one.
         """
-        problem = self._driver.problem
+        problem = self._running.problem
         if problem.curves is None:
             return []
-        return problem.curves.edge_parts(problem.tension(self._driver.state))
+        return problem.curves.edge_parts(problem.tension(self._running.state))
 
     @property
     def last_row(self):
         """The newest row of diagnostics, a dict by column; None in place of what does not apply."""
-        return dict(self._driver.results.last_row or {})
+        return dict(self._running.results.last_row or {})
 
     @property
     def diagnostics(self):
@@ -262,7 +247,7 @@ class Simulation:
     @property
     def doubts(self):
         """Why the result is not to be trusted, a list of str; empty before the end."""
-        return list(self._driver.doubts.found)
+        return list(self._running.doubts.found)
 
     def fields(self):
         """The fluid on the whole grid of m x n cells.  Collective.
@@ -277,9 +262,9 @@ class Simulation:
         """
         from .output import saved
 
-        grid, state = self._driver.problem.grid, self._driver.state
+        grid, state = self._running.problem.grid, self._running.shown_state()
         u, v = grid.velocity_blocks(state.velocity)
-        p = grid.pressure_block(self._driver.shown.state(state).pressure)
+        p = grid.pressure_block(state.pressure)
         parts = self.comm.gather((
             (grid.u_box, u), (grid.v_box, v), (grid.p_box, p)))
         if parts is None:
@@ -320,7 +305,7 @@ class _Call:
 def _texts(keywords):
     """Names to texts, functions and points of some keywords."""
     from . import options
-    from .own import Points
+    from .settings import text_of
 
     texts = {}
     for name, value in _with_points(keywords).items():
@@ -330,7 +315,7 @@ def _texts(keywords):
         if name == "output" and value is True or isinstance(value, Points):
             texts[name] = value
         elif option is None:
-            texts[name] = options.shown(value)
+            texts[name] = text_of(value)
         else:
             texts[name] = options.entry_of(option, value)
     return texts
@@ -342,8 +327,9 @@ def _with_points(keywords):
     points = keywords.pop("points", None)
     if points is None:
         return keywords
-    several = isinstance(points, (list, tuple)) and np.ndim(points[0]) == 2
+    several = isinstance(points, (list, tuple)) and len(points) and np.ndim(points[0]) == 2
     if not several:
-        return {**keywords, "marker_file": points}
+        return {**keywords, "marker_file": Points(points)}
     keywords.setdefault("vesicles", len(points))
-    return {**{f"vesicle_{k}_marker_file": one for k, one in enumerate(points)}, **keywords}
+    return {**{f"vesicle_{k}_marker_file": Points(one, f"points[{k}]")
+               for k, one in enumerate(points)}, **keywords}

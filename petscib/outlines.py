@@ -4,15 +4,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .combinations import USUAL_SPACING, check_curve
 from .errors import InputError
 from .membranes import arrangement, shapes
 from .membranes.curves import Curves
 from .membranes.gaps import Gaps, contains
 from .membranes.laws import Bending, Contact, Load, Tension, Tether, WallContact
-from .own import is_own
-from .settings import check_curve, text_of
+from .own import Points
+from .settings import as_given
 
-MARGIN = 2.0  # cells of fluid that an arrangement leaves between vesicles
+# Cells of fluid that an arrangement leaves between vesicles, twice what `guard` warns of.
+MARGIN = 2.0
 
 
 @dataclass
@@ -115,8 +117,8 @@ def rest_of(settings, curves, stretch):
 
 
 def _outline(settings, grid, vesicle):
-    """Markers of one vesicle, about half a cell apart unless counted."""
-    spacing = 0.5 * min(grid.dx, grid.dy)
+    """Markers of one vesicle, at the usual spacing unless counted."""
+    spacing = USUAL_SPACING * min(grid.dx, grid.dy)
     if vesicle.marker_file is not None:
         return _from_file(settings, vesicle, spacing)
     if vesicle.shape == "line":
@@ -144,17 +146,18 @@ def _from_file(settings, vesicle, spacing):
     from .membranes.crossings import find_crossing
     from .membranes.splines import Spline
 
-    option, path = vesicle.option("marker_file"), vesicle.marker_file
+    given = vesicle.marker_file
+    begin = as_given(vesicle.option("marker_file"), given)
 
     def unfit(why):
-        allowed = curve_files.ALLOWED_ARRAY if is_own(path) else curve_files.ALLOWED
-        return InputError(f"-{option} {path}: {why}; allowed: {allowed}")
+        allowed = given.allowed if isinstance(given, Points) else curve_files.ALLOWED
+        return InputError(f"{begin}: {why}; allowed: {allowed}")
 
     try:
-        if is_own(path):
-            points, remark = curve_files.points_of(path.array)
+        if isinstance(given, Points):
+            points, remark = curve_files.points_of(given.array)
         else:
-            points, remark = curve_files.read_points(path)
+            points, remark = curve_files.read_points(given)
         spline = Spline(points)
     except (OSError, ValueError) as error:
         raise unfit(error) from None
@@ -166,7 +169,7 @@ def _from_file(settings, vesicle, spacing):
     check_curve(settings, vesicle, low, high, spline.length, names)
     if find_crossing(markers):
         raise unfit("the smooth curve through the points crosses itself")
-    return Outline(markers, spline.length, remark=remark and f"-{option} {path}: {remark}")
+    return Outline(markers, spline.length, remark=remark and f"{begin}: {remark}")
 
 
 def _arranged(settings, grid, vesicles):
@@ -200,7 +203,7 @@ def _check_gaps(settings, grid, outlines):
         vesicle = settings.vesicle(pair[1])
         name = vesicle.option("center" if vesicle.marker_file is None else "marker_file")
         raise InputError(
-            f"-{name} {text_of(getattr(settings, name))}: vesicle {pair[1]} meets vesicle "
+            f"{as_given(name, getattr(settings, name))}: vesicle {pair[1]} meets vesicle "
             f"{pair[0]}; allowed: places apart, as by -vesicle_{pair[1]}_center x,y, or "
             "-arrangement lattice or random")
 

@@ -57,10 +57,23 @@ class Points:
     Parameters
     ----------
     array : array_like, shape (N, 2)
+    name : str
+        Of the keyword that has given them, for messages.
+
+    Raises
+    ------
+    InputError
+        These are no numbers.
     """
 
-    def __init__(self, array):
-        self.array = np.array(array, dtype=float)
+    allowed = "an array of shape (N, 2), points along a closed curve that does not cross itself"
+
+    def __init__(self, array, name="points"):
+        self.name = name
+        try:
+            self.array = np.array(array, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"{name}: {error}; allowed: {self.allowed}") from None
 
     def __str__(self):
         return f"array{self.array.shape}".replace(" ", "")

@@ -4,7 +4,7 @@ import argparse
 import os
 import sys
 
-from petscib.output import plots
+from .output import plots, views
 
 
 class _Parser(argparse.ArgumentParser):
@@ -36,7 +36,7 @@ def main(arguments=None):
             os.makedirs(options.output, exist_ok=True)
         paths = plots.plot_all(options.folder, options.output)
         if options.animate:
-            paths.append(plots.animate(options.folder, options.output, options.mp4))
+            paths.append(views.animate(options.folder, options.output, options.mp4))
     except ImportError as error:
         parser.error(f"cannot draw, {error.name} is not installed")
     except (OSError, ValueError, RuntimeError) as error:

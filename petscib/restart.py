@@ -7,14 +7,12 @@ depends on.
 import os
 import sys
 
-from petsc4py import PETSc
-
 from . import options
 from .agreement import on_root
 from .errors import InputError
 from .output import checkpoint, files
 from .own import is_own
-from .settings import given_text, text_of
+from .settings import as_given, given_text, text_of
 from .vesicles import split
 
 LATEST = "latest"
@@ -40,7 +38,7 @@ def merge(database, comm):
     Returns
     -------
     dict
-        In the same form.  Options for the solvers are entered in PETSc's database too.
+        In the same form, the options for the solvers among them.
 
     Raises
     ------
@@ -52,34 +50,30 @@ def merge(database, comm):
         return database
     header = on_root(comm, lambda: _locate(now))
     _refuse_changes(now, header)
-    for name, text in header.progress.solver_options.items():
-        if name not in now:
-            PETSc.Options()[name] = text
     output = now.get("output") or os.path.dirname(header.path) or "."
     saved = _saved_options(header, output, {
         name: value for name, value in now.items() if not isinstance(value, (str, type(None)))})
-    return {**saved, **now, "output": output, "restart": header.path}
+    return {**header.progress.solver_options, **saved, **now, "output": output,
+            "restart": header.path}
 
 
 def _locate(now):
     """Header of the checkpoint meant by -restart and -output.  Rank 0 only."""
     if now["restart"] != LATEST:
-        header = checkpoint.read_header(now["restart"])
-    else:
-        asked = {name: now[name] for name in ("scene", "output") if now.get(name)}
-        header = _latest(options.read(asked).output)
-    print(f"petscib: continuing from {header.path}", file=sys.stderr, flush=True)
-    return header
+        return checkpoint.read_header(now["restart"])
+    asked = {name: now[name] for name in ("scene", "output") if now.get(name)}
+    return _latest(options.read(asked).output)
 
 
 def _latest(folder):
     """Header of the complete checkpoint of the highest step in a folder."""
     headers = []
-    for path in files.named(folder, *checkpoint.NAMES):
+    for path in files.named(folder, *files.CHECKPOINTS):
         try:
             headers.append(checkpoint.read_header(path))
         except InputError as error:
-            print(f"petscib: skipped: {error}", file=sys.stderr, flush=True)
+            why = str(error).removeprefix("-restart ")
+            print(f"petscib: skipped: {why}", file=sys.stderr, flush=True)
     if not headers:
         raise InputError(
             f"-restart {LATEST}: no complete checkpoint in {folder}; allowed: a file, or {LATEST} "
@@ -100,7 +94,7 @@ def _saved_options(header, output, own):
         texts = {**given_text(record), **own, "restart": header.path, "output": output}
         fresh = options.read(texts).to_dict()
     except InputError as error:
-        raise InputError(f"{header.path}: {error}") from None
+        raise InputError(f"-restart {header.path}: {error}") from None
     # A scene's or the table's default may have changed since the file was written.
     moved = {name for name, value in record.items()
              if name in options.TABLE and value is not None and fresh[name] != value}
@@ -123,6 +117,6 @@ def _refuse_changes(now, header):
         if value != saved and not (is_own(value) and str(value) == saved):
             allowed = f"{text_of(saved)}, or no -{name}" if saved is not None else f"no -{name}"
             raise InputError(
-                f"-{name} {text_of(value)}: a restart cannot change it, and {header.path} was made "
+                f"{as_given(name, value)}: a restart cannot change it, and {header.path} was made "
                 f"with {text_of(saved)}; allowed: {allowed}"
             )

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
-from petscib.errors import InputError
-from petscib.settings import text_of
+from .errors import InputError
+from .settings import text_of
 
 # Of the main job: the treading frequency is 1.6 percent off the truth with mbe, 1.2 with be.
 CFL_OF_OTHERS = 0.25
@@ -35,7 +35,7 @@ class Scene:
         Option name to typed value; every name must be in the option table.
     cfl : float
         The time step when ``-ts_dt`` is not given, in units of h / V: h = min(dx, dy), so that
-        refining the grid refines the time step too, and V the speed of `settings.typical_speed`.
+        refining the grid refines the time step too, and V the speed of `derived.typical_speed`.
     laws : tuple of callables
     measures : mapping of str to callable
         The same as of `petscib.Simulation`, for scenes in files of the user's.
@@ -49,9 +49,9 @@ class Scene:
     measures: Mapping[str, Any] = field(default_factory=dict)
 
     def cfl_of(self, scheme):
-        """The same for a scheme that the scene may not have chosen.
+        """The time step of a scheme in these units, also of one that the scene does not choose.
 
-        One of first order needs shorter steps than gcn for the same accuracy.
+        Schemes of first order need shorter steps than gcn for the same accuracy.
         """
         own = self.settings.get("scheme", scheme)
         return self.cfl if scheme in (own, "gcn") else min(self.cfl, CFL_OF_OTHERS)
@@ -222,15 +222,19 @@ def _load(path, changed):
     return replace(scene, name=path)
 
 
+_HEAD = """\
+Scenes (-scene NAME); options given on the command line win over a scene's.
+Time steps are given in units of h / V, with h = min(dx, dy) and V the largest of these speeds:
+the top speed of the background flow in the box; that of a vesicle driven by its bending, the
+smaller of 100 bending / (mu L^2) and sqrt(1000 bending / (rho L^3)), L half the shorter side of
+the box; that of waves on a line stretched across the box, sqrt(pi tension / (rho length)).
+Where nothing moves, V = mu / (rho L).
+"""
+
+
 def listing():
     """The text of ``-scene list``: every scene with its settings as options, 100 columns."""
-    blocks = [
-        "Scenes (-scene NAME); options given on the command line win over a scene's.\n"
-        "In the time steps h is min(dx, dy), and V the top speed of the background flow in the box "
-        "or\nthat of a vesicle driven by its bending, whichever is more: with L half the shorter "
-        "side of the\nbox, the smaller of 100 bending / (mu L^2) and sqrt(1000 bending / "
-        "(rho L^3)), or that of\nwaves on a line stretched across the box, "
-        "sqrt(pi tension / (rho length)). Where none moves,\nV = mu / (rho L).\n"]
+    blocks = [_HEAD]
     for scene in _SCENES:
         options = [f"-{name} {text_of(value)}" for name, value in scene.settings.items()]
         mark = " (default)" if scene.name == DEFAULT else ""

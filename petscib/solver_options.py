@@ -4,9 +4,9 @@ import ctypes
 
 from petsc4py import PETSc
 
-from .options import SOLVERS
+from .petsc_options import SYSTEMS
 
-_PREFIXES = tuple({prefix.split("_")[0] + "_" for prefix, _ in SOLVERS})
+_PREFIXES = tuple(f"{system}_" for system in SYSTEMS)
 
 
 def given():

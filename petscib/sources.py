@@ -7,8 +7,8 @@ of its own, in the environment and in files.  The rules here are those of the co
 import os
 import re
 
-from .errors import InputError
-from .options import reject_stray_words
+from .errors import InputError, shortened
+from .options import option_of
 
 # Files that PETSc reads by itself, in the user's home and where the program runs.
 _RC_FILES = os.path.join("~", ".petscrc"), ".petscrc", "petscrc"
@@ -45,6 +45,30 @@ def check(arguments, environment=os.environ):
         elif option in ("-options_file", "-options_file_yaml"):
             yaml = option.endswith("yaml") or value.endswith((".yml", ".yaml"))
             (_check_yaml if yaml else _check_lines)(value, _read(value, f"{option} "))
+
+
+def reject_stray_words(arguments):
+    """Refuse words that PETSc would silently drop: values cut by blanks, and words on their own.
+
+    Parameters
+    ----------
+    arguments : list of str
+        The command line without the program's name.
+
+    Raises
+    ------
+    InputError
+    """
+    words = []  # the option at hand and the values after it
+    for word in arguments:
+        words = [word] if re.match(r"--?[A-Za-z]", word) else [*words, word]
+        name = words[0].lstrip("-").lower()
+        option = option_of(name)
+        ours = option is not None
+        if len(words) > 2 or not words[0].startswith("-") or (ours and len(word.split()) > 1):
+            allowed = option.kind.allowed if ours else "-name value"
+            raise InputError(f"{shortened(' '.join(words))}: one value without blanks may follow "
+                             f"an option; allowed: {allowed}")
 
 
 def _named(source, action):

@@ -44,40 +44,11 @@ def build_problem(settings, comm, header=None, remarks=None, own_laws=()):
     periodic = "x" in settings.periodic, "y" in settings.periodic
     grid = Grid((settings.stag_grid_x, settings.stag_grid_y), settings.domain, comm, periodic)
     sides = Sides(grid, settings.flow, settings.shear_rate)
-    if own_laws and not settings.vesicles:
-        raise InputError("laws: there is no vesicle for them (vesicles is 0); allowed: vesicles=1, "
-                         "or no laws")
-    membranes, markers, stretch, areas = None, np.zeros((0, 2)), np.zeros(0), None
-    if settings.vesicles:
-        if header is not None:
-            curves, markers, stretch, rest, targets = checkpoint.load_membranes(
-                header, grid.comm.tompi4py())
-        else:
-            curves, markers = _first(settings, grid, [] if remarks is None else remarks)
-            stretch, targets = curves.stretching(markers), markers
-            rest = outlines.rest_of(settings, curves, stretch)
-        laws, loads = outlines.laws_of(settings, grid, curves, rest, targets)
-        laws += _own(own_laws, curves, markers, laws, grid.comm.tompi4py())
-        held = any(vesicle.tether for vesicle in settings.each_vesicle())
-        constants = grid.comm.tompi4py().bcast(
-            Constants(curves, rest, targets if held else None))
-        membranes = Membranes(settings.vesicles, curves, laws, rest, loads, constants)
-        if settings.conserve_area:
-            areas = geometry.signed_area(markers, curves)
-            if header is not None:  # those of the run's start
-                start = header.progress.reference["area"][: len(areas)]
-                areas = np.sign(areas) * np.array(start)
-    operators, advection, viscosity = Operators(grid, sides), None, None
+    operators, advection = Operators(grid, sides), None
+    membranes, markers, stretch = _membranes(
+        settings, grid, header, [] if remarks is None else remarks, own_laws)
     if settings.advection != "none":
         advection = Advection(operators, settings.rho, settings.advection == "implicit")
-    if settings.has_contrast:
-        contrasts = [vesicle.viscosity_contrast for vesicle in settings.each_vesicle()]
-        from .fluid.viscosity import Viscosity
-
-        viscosity = Viscosity(
-            operators, KERNELS[settings.delta], membranes.curves, settings.mu,
-            settings.mu * np.array(contrasts),
-            poisson.poisson_solver(operators, settings.fft, **INDICATOR))
     problem = Problem(
         grid,
         operators,
@@ -88,10 +59,10 @@ def build_problem(settings, comm, header=None, remarks=None, own_laws=()):
         # Without tension nothing asks for it.
         settings.stretch == "evolve" and membranes is not None and bool(membranes.law("tension")),
         settings.kink_correction,
-        areas,
+        _areas_to_keep(settings, membranes, markers, header),
         settings.body_force,
         advection,
-        viscosity,
+        _viscosity(settings, operators, membranes),
     )
     if header is not None:
         return problem, checkpoint.load_state(header, grid, markers, stretch)
@@ -102,10 +73,57 @@ def build_problem(settings, comm, header=None, remarks=None, own_laws=()):
     return problem, State(0, 0.0, velocity, pressure, markers, stretch)
 
 
+def _membranes(settings, grid, header, remarks, own_laws):
+    """Membranes (None without any), markers and stretching at the start.  Collective."""
+    comm = grid.comm.tompi4py()
+    if not settings.vesicles:
+        if own_laws:
+            raise InputError("laws: there is no vesicle for them (vesicles is 0); allowed: "
+                             "vesicles=1, or no laws")
+        return None, np.zeros((0, 2)), np.zeros(0)
+    if header is not None:
+        curves, markers, stretch, rest, targets = checkpoint.load_membranes(header, comm)
+    else:
+        curves, markers = _first(settings, grid, remarks)
+        stretch, targets = curves.stretching(markers), markers
+        rest = outlines.rest_of(settings, curves, stretch)
+    laws, loads = outlines.laws_of(settings, grid, curves, rest, targets)
+    laws += _own(own_laws, curves, markers, laws, comm)
+    held = any(vesicle.tether for vesicle in settings.each_vesicle())
+    constants = comm.bcast(Constants(curves, rest, targets if held else None))
+    return Membranes(settings.vesicles, curves, laws, rest, loads, constants), markers, stretch
+
+
+def _areas_to_keep(settings, membranes, markers, header):
+    """Signed areas at the start of the run, on rank 0; None where they are not kept."""
+    if membranes is None or not settings.conserve_area:
+        return None
+    areas = geometry.signed_area(markers, membranes.curves)
+    if header is not None:
+        start = header.progress.reference["area"][: len(areas)]
+        areas = np.sign(areas) * np.array(start)
+    return areas
+
+
+def _viscosity(settings, operators, membranes):
+    """The viscosity where it varies; None where it does not.  Collective."""
+    if not settings.has_contrast:
+        return None
+    from .fluid.viscosity import Viscosity
+
+    contrasts = np.array([vesicle.viscosity_contrast for vesicle in settings.each_vesicle()])
+    return Viscosity(
+        operators, KERNELS[settings.delta], membranes.curves, settings.mu,
+        settings.mu * contrasts, poisson.poisson_solver(operators, settings.fft, **INDICATOR))
+
+
 def _own(makers, curves, markers, others, comm):
     """Laws of the user's, each of which must be one.  Collective."""
     laws = []
     for make in makers:
+        if not callable(make):
+            raise InputError(f"laws: {make!r} cannot be called; allowed: a function of the curves "
+                             "and the markers that makes a law, or its class")
         law = make(curves, markers)
         on_root(comm, lambda law=law: check_law(law, [*others, *laws], markers))
         laws.append(law)

@@ -1,11 +1,13 @@
 """The size of the time step: fixed, or changed by factors of two.
 
-With -ts_adapt it is halved when a step fails, and grown back.  With -ts_rtol it follows the local
-error of the markers' positions: -ts_dt is the first one, steps of too large an error are repeated
-with smaller ones, and where the error leaves room, they grow.  With either, it also keeps to the
-limit of stability of explicit advection.  Whatever depends on the time step
-alone is made anew when it changes, for a quarter to half of the cost of a step (64^2, with -fft and
-with GAMG); factors of two, and some patience, keep that below 3 percent of a run.
+With -ts_adapt it is halved when a step fails, and grown back later.  With -ts_rtol it follows the
+local error of the markers' positions: -ts_dt is the first time step, a step of too large an error
+is repeated with a smaller one, and where the error leaves room, steps grow.  With either, it also
+keeps to the limit of stability of explicit advection.
+
+Whatever depends on the time step alone is made anew when it changes, which takes a quarter to half
+of the time of a step (64^2, with -fft and with GAMG).  Factors of two, and some patience, keep that
+below 3 percent of a run.
 """
 
 from math import ceil, inf, log2

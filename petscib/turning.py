@@ -1,8 +1,8 @@
 """How far vesicles have turned: inclinations counted on through full turns.
 
-An inclination is known but for half turns; from step to step it is followed to the nearest of its
-values.  A half turn is over when it has changed by pi since the last one, or since the run's start;
-its time is found linearly within a step.
+An inclination is known only up to half turns; from step to step it is followed to the nearest of
+its values.  A half turn is over when the angle has changed by pi since the last one, or since the
+run's start; its time is interpolated linearly within the step.
 """
 
 import numpy as np

@@ -3,10 +3,10 @@ import atexit
 
 import numpy as np
 from mpi4py import MPI
-from petsc4py import PETSc
 
-from petscib import options, restart, solver_options
+from petscib import options, petsc_options, restart
 from petscib.driver import Driver
+from petscib.entries import Entries
 from petscib.output import tables
 
 comm = MPI.COMM_WORLD
@@ -17,12 +17,11 @@ SMALL = {"stag_grid_x": "24", "ts_dt": "0.08333333333333333", "axes": "0.25,0.4"
 def prepare(folder, **words):
     """A simulation, not yet run, with the options given as on a command line.  Collective."""
     given = {**words, "output": str(folder)}
-    # The solvers of an earlier run have left their defaults in PETSc's database.
-    for name in solver_options.given():
-        PETSc.Options().delValue(name)
     if "restart" not in words:
         given = {**SMALL, **given}
-    simulation = Driver(options.read(restart.merge(given, comm)))
+    database = restart.merge(given, comm)
+    words = {name: text for name, text in database.items() if petsc_options.is_petsc(name)}
+    simulation = Driver(options.read(database), entries=Entries(words))
     atexit.register(simulation.destroy)  # PETSc must not find it at its own end
     return simulation
 

@@ -6,7 +6,7 @@ import pytest
 from petsc4py import PETSc
 from runs import SMALL, comm
 
-from petscib import options, restart, sources
+from petscib import options, petsc_options, restart, sources
 from petscib.driver import Driver
 from petscib.errors import InputError
 
@@ -19,7 +19,7 @@ def refusal(tmp_path, words):
     database = {**SMALL, "output": str(tmp_path / "out"), **words}
     with pytest.raises(InputError) as caught:
         for name, text in words.items():  # PETSc reads its own from there
-            if options.is_petsc(name):
+            if petsc_options.is_petsc(name):
                 PETSc.Options()[name] = text
         try:
             Driver(options.read(restart.merge(database, comm)))

@@ -199,7 +199,7 @@ def test_a_damaged_file_is_refused(good, tmp_path, name):
     with pytest.raises(InputError) as caught:
         prepare(tmp_path / "out", restart=str(path), ts_max_steps="3")
     message = str(caught.value)
-    assert message.startswith(f"{path}: ") and reason in message
+    assert message.startswith(f"-restart {path}: ") and reason in message
     assert len(message.splitlines()) == 1 and len(message) < 400
     assert not (tmp_path / "out").exists()
 
@@ -210,8 +210,8 @@ def test_only_damage_is_called_damage(good, tmp_path):
             checkpoint.read_header(str(path))
         return str(caught.value)
 
-    assert why(tmp_path / "none.h5") == f"{tmp_path}/none.h5: No such file or directory"
-    assert why(tmp_path) == f"{tmp_path}: Is a directory"
+    assert why(tmp_path / "none.h5") == f"-restart {tmp_path}/none.h5: No such file or directory"
+    assert why(tmp_path) == f"-restart {tmp_path}: Is a directory"
     path = tmp_path / "held.h5"
     shutil.copy(good, path)
     with h5py.File(path, "r+"):
@@ -220,7 +220,7 @@ def test_only_damage_is_called_damage(good, tmp_path):
              "try: checkpoint.read_header(sys.argv[1])\n"
              "except Exception as error: print(error)", path],
             stdout=subprocess.PIPE, text=True, env=mpi_environment(HDF5_USE_FILE_LOCKING="TRUE"))
-    assert holder.stdout == f"{path}: locked, another program is writing to it\n"
+    assert holder.stdout == f"-restart {path}: locked, another program is writing to it\n"
     cut(0.5)(path)
     assert why(path).endswith("(a damaged or cut off checkpoint)")
 

@@ -1,6 +1,6 @@
 """README and the pages of docs must stay true: tables, commands, links and files.
 
-The table of options is `python -c "from petscib import options; print(options.markdown_table())"`.
+The table of options is `python -c "from petscib import help; print(help.markdown_table())"`.
 """
 
 import importlib
@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from petscib import diagnostics, options, scenes
+from petscib import diagnostics, help, options, scenes
 from petscib.schemes import SCHEMES
 from petscib.studies.__main__ import STUDIES
 
@@ -37,7 +37,7 @@ def test_readme_is_short():
 
 def test_the_options_table_is_the_programs():
     _, table = page("options").split("markdown_table -->\n")
-    assert table.split("<!-- end of options")[0].strip() == options.markdown_table().strip()
+    assert table.split("<!-- end of options")[0].strip() == help.markdown_table().strip()
 
 
 @pytest.mark.parametrize("command", [c for c in COMMANDS if re.match("([A-Z]+=.* )*./run -", c)])
@@ -51,7 +51,7 @@ def test_runs_have_valid_options(command):
             database[name] = word
     for file_of_the_users in ("restart", "vesicle_file", "options_file"):
         database.pop(file_of_the_users, None)
-    if options.information(database) is None:
+    if help.information(database) is None:
         options.read(database)
 
 

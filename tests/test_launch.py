@@ -111,6 +111,17 @@ def test_ctrl_c_is_turned_into_a_request():
     assert process.wait(timeout=10) == 130
 
 
+def test_a_second_ctrl_c_ends_the_job():
+    script = ("import signal, time; signal.signal(signal.SIGUSR1, lambda *a: print('asked', "
+              "flush=True)); print('ready', flush=True); time.sleep(30)")
+    process = subprocess.Popen([sys.executable, "-m", "petscib.launch", "-c", script],
+                               stdout=subprocess.PIPE, env=mpi_environment(MPIEXEC=sys.executable))
+    for _ in range(2):
+        process.stdout.readline()
+        process.send_signal(signal.SIGINT)
+    assert process.wait(timeout=10) == 130
+
+
 NOISES = {
     "5": """\
 --------------------------------------------------------------------------

@@ -158,7 +158,50 @@ def test_points_are_the_shape():
         assert len(first) == len(other.markers)
 
 
-def test_a_checkpoint_of_a_script_goes_on(tmp_path):
+@pytest.mark.parametrize("points, message", [
+    (3 * np.eye(9, 2), "points array(9,2): "), ("abc", "points: could not convert"),
+    ([np.eye(9, 2)[:, ::-1], np.eye(9, 2)[:4]], "points[0] array(9,2): ")])
+def test_messages_name_the_points(points, message):
+    with pytest.raises(petscib.InputError) as caught:
+        petscib.Simulation(stag_grid_x=24, points=points)
+    assert str(caught.value).startswith(message)
+
+
+def test_a_closed_simulation_says_so():
+    simulation = petscib.Simulation(**SMALL)
+    simulation.close()
+    simulation.close()
+    for use in (simulation.run, simulation.fields, lambda: simulation.markers):
+        with pytest.raises(RuntimeError, match="has been closed"):
+            use()
+
+
+def test_what_cannot_be_called_is_refused():
+    for words in (dict(laws=[3]), dict(measures={"width": 3})):
+        with pytest.raises(petscib.InputError, match="3 cannot be called"):
+            petscib.Simulation(**SMALL, **words)
+
+
+def test_simulations_side_by_side_do_not_share_their_options(capfd):
+    """Neither what the user of one tells PETSc, nor the defaults of its solvers."""
+    small = {**SMALL, "scheme": "mbe"}
+    alone = petscib.Simulation(**small)
+    expected = alone.run()
+    alone.close()
+    first = petscib.Simulation(**{**small, "fft": False}, momentum_ksp_rtol=1e-3)
+    next(iter(first))
+    second = petscib.Simulation(**small)
+    found = second.run()
+    assert found["petsc_options"] == expected["petsc_options"]
+    np.testing.assert_array_equal(found["last_row"]["energy"], expected["last_row"]["energy"])
+    rest = first.run()
+    assert float(rest["petsc_options"]["momentum_ksp_rtol"]) == 1e-3
+    first.close()
+    second.close()
+    assert "no solver has read" not in capfd.readouterr().err
+
+
+def test_a_checkpoint_of_a_script_goes_on(tmp_path, capfd):
     with petscib.Simulation(**SMALL) as whole:
         for row in whole:
             if row["step"] == 2:
@@ -169,6 +212,7 @@ def test_a_checkpoint_of_a_script_goes_on(tmp_path):
             rest.run()
             np.testing.assert_array_equal(rest.markers, whole.markers)
     assert os.listdir(tmp_path) == ["half.h5"]
+    assert capfd.readouterr().err == ""
 
 
 def test_a_scene_in_a_file(tmp_path):

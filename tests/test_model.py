@@ -6,6 +6,7 @@ from scipy.integrate import quad
 from scipy.linalg import block_diag
 from scipy.sparse import csr_matrix, random
 
+from petscib import entries
 from petscib.coupling.kernels import KERNELS
 from petscib.fluid.grid import Grid
 from petscib.membranes import shapes
@@ -13,7 +14,7 @@ from petscib.membranes.curves import Curves
 from petscib.membranes.laws import Bending, Tension
 from petscib.membranes.membranes import Membranes
 from petscib.membranes.mobility import AreaProjector, Slip
-from petscib.solvers import krylov, model
+from petscib.solvers import model
 from petscib.solvers.cholesky import Cholesky
 from petscib.solvers.markers import MarkerOperators
 from petscib.solvers.model import MarkerModel, StressMatrix, fit_poles
@@ -26,7 +27,7 @@ COUNTS, SPACINGS, CLOSED = (20, 14, 12), (0.1, 0.07, 0.06), (True, True, False)
 @pytest.fixture(autouse=True)
 def no_defaults_left():
     yield
-    krylov.withdraw_defaults()
+    entries.present().withdraw()
 
 
 # ---------------------------------------------------------------- products

@@ -6,6 +6,7 @@ import io
 import pytest
 
 from petscib.output import monitor
+from petscib.output.words import closing_lines
 
 
 class Clock:
@@ -218,7 +219,7 @@ def test_closing_lines():
         "phase_seconds": {"set-up": 0.3, "diagnostics": 0.2},
         "options": {"flow": "shear", "shear_rate": 1.0},
     }
-    assert monitor.closing_lines(summary) == [
+    assert closing_lines(summary) == [
         "inclination / pi    0.125",
         "treading frequency  0.15034",
         "area error          -1.200e-04",
@@ -228,15 +229,15 @@ def test_closing_lines():
         "look at             out/tanktreading/diagnostics.csv",
     ]
     summary["options"]["flow"] = "rest"
-    assert monitor.closing_lines(summary)[0].startswith("area error")
+    assert closing_lines(summary)[0].startswith("area error")
 
 
 def test_closing_lines_without_vesicle_or_steps():
     last_row = {"step": 0, "area_error": None, "inclination": None, "treading_frequency": None}
     summary = {"last_row": last_row, "steps": 0, "total_seconds": 0.1, "output": "out/driven"}
-    assert monitor.closing_lines(summary) == [
+    assert closing_lines(summary) == [
         "results in          out/driven", "look at             out/driven/diagnostics.csv"]
-    assert monitor.closing_lines({}) == []
+    assert closing_lines({}) == []
 
 
 @pytest.mark.parametrize("most, words", [
@@ -244,19 +245,19 @@ def test_closing_lines_without_vesicle_or_steps():
 def test_what_to_type_next_is_beyond_all_limits(most, words):
     options = {"ts_max_time": 5.0, "ts_max_steps": most, "given": ["scene"]}
     summary = {"output": "out/pair", "ended": "finished", "options": options}
-    assert monitor.closing_lines(summary)[-1] == (
+    assert closing_lines(summary)[-1] == (
         f"to go on            -restart latest -output out/pair {words}")
 
 
 def test_closing_lines_of_several_vesicles():
     last_row = {"inclination_0": 0.0, "inclination_1": 1.5707963267948966,
                 "treading_frequency_0": None, "treading_frequency_1": float("nan")}
-    assert monitor.closing_lines({"last_row": last_row}) == ["inclination / pi    0, 0.5"]
+    assert closing_lines({"last_row": last_row}) == ["inclination / pi    0, 0.5"]
 
 
 def test_closing_lines_of_one_that_treads_and_one_that_tumbles():
     last_row = {"inclination_0": 0.0, "inclination_1": 0.0,
                 "half_turn_0": None, "half_turn_1": 13.2,
                 "treading_frequency_0": 0.4, "treading_frequency_1": 0.2}
-    assert monitor.closing_lines({"last_row": last_row})[1:] == [
+    assert closing_lines({"last_row": last_row})[1:] == [
         "treading frequency  0.4", "half-turn period    13.2"]

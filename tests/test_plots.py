@@ -14,7 +14,7 @@ pytest.importorskip("matplotlib")
 from matplotlib.image import imread  # noqa: E402
 
 from petscib import plot  # noqa: E402
-from petscib.output import plots, saved, tables  # noqa: E402
+from petscib.output import histories, plots, saved, tables, views  # noqa: E402
 
 COLUMNS = (
     "step time dt area perimeter area_error perimeter_error kinetic tension_energy bending_energy "
@@ -196,7 +196,7 @@ def test_blown_up_run_is_still_drawn(tmp_path):
 
 def test_newest_saved_file_is_drawn(tmp_path):
     write_fields(tmp_path / "final.h5", time=1.0)
-    write_fields(tmp_path / "checkpoint-000200.h5", time=2.0)
+    write_fields(tmp_path / "checkpoint-00000200.h5", time=2.0)
     os.utime(tmp_path / "final.h5", (1, 1))
     assert saved.read_fields(tmp_path).time == 2.0
 
@@ -258,18 +258,18 @@ def test_inclination_is_unwrapped():
     settling = np.linspace(0.52, 0.1, 40) * np.pi
     tumbling = np.linspace(0.4, -2.3, 80) * np.pi
     for angles in (settling, tumbling):
-        turns = plots._half_turns(wrap(angles)[:, None])[:, 0]
+        turns = histories._half_turns(wrap(angles)[:, None])[:, 0]
         np.testing.assert_allclose(turns, angles / np.pi, atol=1e-12)
     gap = wrap(settling)
     gap[3:6] = np.nan
-    turns = plots._half_turns(gap[:, None])[:, 0]
+    turns = histories._half_turns(gap[:, None])[:, 0]
     assert np.isnan(turns[3:6]).all() and turns[-1] == pytest.approx(0.1)
 
 
 def test_animation(run, tmp_path, monkeypatch):
     from PIL import Image
 
-    monkeypatch.setattr(plots, "FRAMES", 5)
+    monkeypatch.setattr(views, "FRAMES", 5)
     monkeypatch.setattr(plots, "plot_all", lambda folder, output: [])
     assert plot.main([str(run), "-o", str(tmp_path), "-animate"]) == 0
     with Image.open(tmp_path / "animation.gif") as image:

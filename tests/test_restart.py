@@ -10,7 +10,7 @@ from runs import SMALL, arrays, assert_same_run, comm, prepare, rows, run
 
 from petscib import options, restart, schemes
 from petscib.errors import InputError, SolveError
-from petscib.output import lock, plots, tables
+from petscib.output import lock, tables, views
 from petscib.output.checkpoint import Progress
 from petscib.stepsize import GROW_AFTER, SMALLEST, StepSize
 
@@ -101,7 +101,7 @@ def test_options_come_from_the_file_and_those_given_now_win(finished, tmp_path):
 def test_a_changed_default_does_not_change_a_restart(finished, monkeypatch):
     file = str(finished / "final.h5")
     moved = options.TABLE["mu"].__class__(**{**vars(options.TABLE["mu"]), "default": 3.0})
-    monkeypatch.setattr(options, "_ROWS", [moved if o.name == "mu" else o for o in options._ROWS])
+    monkeypatch.setitem(options.TABLE, "mu", moved)
     assert options.read({}).mu == 3.0
     assert options.read(restart.merge({"restart": file}, comm)).mu == 1.0
 
@@ -215,7 +215,7 @@ def test_every_file_of_a_run_is_known_and_set_aside(tmp_path):
     words = {"plot": "yes", "xdmf_every": "1", "checkpoint_every": "1", "ledger": "record"}
     folder = tmp_path / "run"
     run(folder, ts_max_steps="3", **words)
-    plots.animate(str(folder))
+    views.animate(str(folder))
     before = {path.name for path in folder.iterdir()}
     assert {"animation.gif", "ledger.png", "fields.png", "fields.xdmf", "final.h5"} < before
     prepare(folder)

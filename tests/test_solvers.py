@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from petsc4py import PETSc
 
+from petscib import entries
 from petscib.errors import SolveError
 from petscib.fluid.grid import Grid
 from petscib.fluid.operators import Operators
@@ -99,7 +100,7 @@ def test_a_first_guess_many_orders_too_large_is_dropped():
     solution.pointwiseMult(solution, diagonal)
     assert np.allclose(solution.getArray(), 1e-9, rtol=1e-4, atol=0)
     ksp.destroy()
-    krylov.withdraw_defaults()
+    entries.present().withdraw()
 
 
 def test_the_norm_of_a_joint_right_hand_side_follows_its_parts():
@@ -118,7 +119,7 @@ def test_the_norm_of_a_joint_right_hand_side_follows_its_parts():
         for answer, part in zip(parts[:2], parts[2:]):
             assert np.allclose(2 * answer.getArray(), part.getArray(), rtol=1e-5, atol=0)
     ksp.destroy()
-    krylov.withdraw_defaults()
+    entries.present().withdraw()
 
 
 class Doubling:

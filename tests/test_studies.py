@@ -175,7 +175,7 @@ def test_the_pareto_front_and_the_cheapest_setting():
 
 @pytest.mark.parametrize("reduced", tanktreading.REDUCED_AREAS)
 def test_ellipses_of_a_reduced_area(reduced):
-    rx, ry = tanktreading.ellipse_axes(reduced)
+    rx, ry = tanktreading.ellipse_axes(reduced, tanktreading.PERIMETER)
     length = shapes.ellipse_perimeter((rx, ry))
     assert length == pytest.approx(tanktreading.PERIMETER, rel=1e-10) and rx < ry
     assert 4 * np.pi * np.pi * rx * ry / length**2 == pytest.approx(reduced, rel=1e-10)

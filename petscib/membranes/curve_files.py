@@ -20,7 +20,6 @@ LARGEST = 1e9  # coordinate: no box is larger
 _SAME = 0.01
 _NEIGHBOURS = 7  # gaps, of which the median is what is usual there
 
-ALLOWED_ARRAY = "an array of shape (N, 2), points along a closed curve that does not cross itself"
 ALLOWED = (
     "a text file, x and y of one point a line with blanks, tabs, commas or semicolons between "
     "(before them at most their number and a line of names; comments after #, % or !), along a "

@@ -61,11 +61,11 @@ from ..errors import InputError
 from ..membranes.curves import Curves
 from ..pressure import BARE
 from ..problem import State
-from .files import Dataset, explain, write_hdf5
+from .files import explain
+from .hdf5 import Dataset, write_hdf5
 
 FORMAT_VERSION = 2
 READABLE = 1, 2
-NAMES = "checkpoint-#.h5", "final.h5"
 _NUMBERS = ("step", "time", "dt", "good_steps", "largest_energy", "wall_seconds")
 
 
@@ -245,11 +245,17 @@ def read_header(path):
     try:
         open(path, "rb").close()  # says why, when it is not there or may not be read
         if not h5py.is_hdf5(path):
-            raise InputError(f"{path}: not an HDF5 file, or cut off at its beginning")
+            raise _unfit(path, "not an HDF5 file, or cut off at its beginning; allowed: a "
+                               "checkpoint of petscib")
         with h5py.File(path, "r") as file:
             return _read_header(path, file)
     except (OSError, RuntimeError, KeyError) as failure:
-        raise InputError(_why_unreadable(path, failure)) from None
+        raise InputError(f"-restart {_why_unreadable(path, failure)}") from None
+
+
+def _unfit(path, why):
+    """The error to raise about a file that cannot be continued from."""
+    return InputError(f"-restart {path}: {why}")
 
 
 def _why_unreadable(path, failure):
@@ -264,18 +270,18 @@ def _why_unreadable(path, failure):
 def _read_header(path, file):
     found = file.attrs
     if "format_version" not in found:
-        raise InputError(f"{path}: an HDF5 file, but not a checkpoint of petscib")
+        raise _unfit(path, "an HDF5 file, but not a checkpoint of petscib")
     if found["format_version"] not in READABLE:
-        raise InputError(
-            f"{path}: its format version is {found['format_version']}; allowed: "
+        raise _unfit(
+            path, f"its format version is {found['format_version']}; allowed: "
             f"{' or '.join(map(str, READABLE))}, which is what this petscib reads"
         )
     missing = [name for name in (*_NUMBERS, "options", "solver_options") if name not in found]
     if missing:
-        raise InputError(f"{path}: damaged, it lacks the attribute {missing[0]}")
+        raise _unfit(path, f"damaged, it lacks the attribute {missing[0]}")
     numbers = {name: found[name].item() for name in _NUMBERS}
     if not all(np.isfinite(value) for value in numbers.values()):
-        raise InputError(f"{path}: damaged, not every number in its attributes is finite")
+        raise _unfit(path, "damaged, not every number in its attributes is finite")
     step, time = numbers.pop("step"), numbers.pop("time")
     try:
         progress = Progress(**numbers, solver_options=json.loads(found["solver_options"]))
@@ -284,39 +290,43 @@ def _read_header(path, file):
         periodic = header.options.get("periodic", "none")  # an older file has no such option
         vesicles = header.options["vesicles"]
     except (ValueError, TypeError, KeyError) as failure:
-        raise InputError(f"{path}: damaged, its options cannot be read: {failure}") from None
+        raise _unfit(path, f"damaged, its options cannot be read: {failure}") from None
     _expect(path, file, "fluid/u", (n, m + ("x" not in periodic)))
     _expect(path, file, "fluid/v", (n + ("y" not in periodic), m))
     _expect(path, file, "fluid/p", (n, m))
-    areas, perimeters = [], []
-    for k in range(vesicles):
-        _expect(path, file, f"vesicle_{k}/X", (None, 2))
-        group = file[f"vesicle_{k}"]
-        count, closed = len(group["X"]), bool(group.attrs.get("closed", True))
-        for name in ("stretch", "rest_stretch"):
-            _expect(path, file, f"vesicle_{k}/{name}", (count - (not closed),))
-        if "target" in group:
-            _expect(path, file, f"vesicle_{k}/target", (count, 2))
-        period = tuple(map(float, group.attrs.get("period", (0.0, 0.0))))
-        header.vesicles.append(SavedCurve(count, group.attrs["ds"].item(), closed, period))
-        areas.append(group.attrs["initial_area"].item())
-        perimeters.append(group.attrs["initial_perimeter"].item())
+    header.vesicles = [_read_curve(path, file, k) for k in range(vesicles)]
     if vesicles:
-        progress.reference = {"area": areas, "perimeter": perimeters}
+        progress.reference = {
+            name: [file[f"vesicle_{k}"].attrs[f"initial_{name}"].item() for k in range(vesicles)]
+            for name in ("area", "perimeter")}
     return header
+
+
+def _read_curve(path, file, number):
+    """How the markers of a saved vesicle are joined; its datasets are checked."""
+    name = f"vesicle_{number}"
+    _expect(path, file, f"{name}/X", (None, 2))
+    group = file[name]
+    count, closed = len(group["X"]), bool(group.attrs.get("closed", True))
+    for part in ("stretch", "rest_stretch"):
+        _expect(path, file, f"{name}/{part}", (count - (not closed),))
+    if "target" in group:
+        _expect(path, file, f"{name}/target", (count, 2))
+    period = tuple(map(float, group.attrs.get("period", (0.0, 0.0))))
+    return SavedCurve(count, group.attrs["ds"].item(), closed, period)
 
 
 def _expect(path, file, name, shape):
     """Refuse a file without a dataset of that shape (None: any length)."""
     dataset = file.get(name)
     if not isinstance(dataset, h5py.Dataset):
-        raise InputError(f"{path}: damaged, it has no dataset {name}")
+        raise _unfit(path, f"damaged, it has no dataset {name}")
     wrong = len(dataset.shape) != len(shape) or any(
         want not in (None, have) for want, have in zip(shape, dataset.shape)
     )
     if wrong or dataset.dtype.kind != "f":
-        raise InputError(
-            f"{path}: {name} is an array of {dataset.dtype} and shape {dataset.shape}; allowed: "
+        raise _unfit(
+            path, f"{name} is an array of {dataset.dtype} and shape {dataset.shape}; allowed: "
             f"floats of shape {shape}"
         )
 
@@ -422,4 +432,4 @@ def _on_file(path, comm, read):
         trouble = str(failure)
     trouble = next(filter(None, comm.allgather(trouble)), "")
     if trouble:
-        raise InputError(f"{path}: {trouble}")
+        raise _unfit(path, f"{trouble}")

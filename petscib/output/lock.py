@@ -1,4 +1,4 @@
-"""The claim of a run to its folder, which ends with the run however that ends."""
+"""The claim of a run to its folder, which ends with the run, in whatever way that ends."""
 
 import errno
 import fcntl
@@ -16,7 +16,7 @@ class Lock:
     """Holds a folder against other runs.  Rank 0 only.
 
     The system drops the lock with the process, after kill -9 too, and heeds it over a network file
-    system.  Who holds it can be read in its file.
+    system.  The lock's file says who holds it.
 
     Parameters
     ----------

@@ -4,13 +4,11 @@ A monitor is told where the run starts, gets each row of the diagnostics table, 
 the end. It never decides anything.
 """
 
-import itertools
 import math
-import os
 import sys
 from time import monotonic
 
-from ..schemes.registry import SCHEMES
+from .rows import entry, is_number
 
 LINES_BETWEEN_HEADERS = 25
 REDRAW_SECONDS = 0.1
@@ -78,7 +76,7 @@ class Monitor:
     def _fraction(self, time, step):
         """Part of the run that is done, 0 to 1; 0 if it has no end."""
         parts = [
-            done / end for done, end in zip((time, step), self._ends) if _number(end) and end > 0
+            done / end for done, end in zip((time, step), self._ends) if is_number(end) and end > 0
         ]
         return min(max(parts, default=0.0), 1.0)
 
@@ -135,7 +133,7 @@ class LogMonitor(Monitor):
             self.write(f"{titles}  done      left")
         self._lines += 1
         cells = "".join(
-            f"{_cell(_value(row, name), form):>{width}}" for _, width, form, name in LOG_COLUMNS
+            f"{_cell(entry(row, name), form):>{width}}" for _, width, form, name in LOG_COLUMNS
         )
         left = _clock(self._seconds_left(self._printed_fraction))
         self.write(f"{cells}  {self._printed_fraction:4.0%}  {left:>8}")
@@ -173,12 +171,13 @@ class BarMonitor(Monitor):
         """Move the bar."""
         time, step = row["time"], row["step"]
         end_time = self._ends[0]
-        end = f"/{end_time:g}" if _number(end_time) else ""
+        end = f"/{end_time:g}" if is_number(end_time) else ""
         counts = [
-            (letter, _value(row, f"{solve}_iterations"))
+            (letter, entry(row, f"{solve}_iterations"))
             for letter, solve in (("m", "momentum"), ("p", "poisson"), ("c", "coupled"))
         ]
-        iterations = "".join(f" {letter}{count:.0f}" for letter, count in counts if _number(count))
+        iterations = "".join(
+            f" {letter}{count:.0f}" for letter, count in counts if is_number(count))
         text = f"t {time:.4g}{end} step {step}" + (f" iter{iterations}" if iterations else "")
         self._bar.n = self._fraction(time, step)
         self._bar.set_description_str(text, refresh=False)
@@ -236,134 +235,6 @@ def create(name=None, stream=None):
         monitor.write("the progress bar needs tqdm, which is not installed: plain lines instead")
         return LogMonitor(stream)
     return BarMonitor(stream)
-
-
-def opening_line(settings, steps):
-    """What a run is going to do, and on which solvers: its first line.
-
-    Parameters
-    ----------
-    settings : Settings
-    steps : int or float
-        Those to come; infinite when nobody knows.
-    """
-    if settings.fft:
-        varies = any(one.viscosity_contrast != 1 for one in settings.each_vesicle())
-        method = " and FGMRES" if varies else " and CG" if settings.vesicles else ""
-        solvers = "transforms" + method
-        others = "without -fft multigrid"
-    elif SCHEMES[settings.scheme].coupled:
-        solvers = "FGMRES with GAMG for velocity and pressure together"
-        others = "-fft: transforms, -scheme mcn: CG with GAMG for velocity, then for pressure"
-    else:
-        solvers = "CG with GAMG for velocity, then for pressure"
-        others = "-fft: transforms"
-    count = f"{steps:.0f} steps" if math.isfinite(steps) else "steps"
-    if settings.ts_max_steps is None:
-        count += f" to t = {settings.ts_max_time:g}"
-    return (
-        f"{settings.scene}, {settings.stag_grid_x} x {settings.stag_grid_y} cells, "
-        f"{settings.scheme} with dt = {settings.ts_dt:.4g}, {count}; {solvers} ({others})"
-    )
-
-
-def closing_lines(summary):
-    """The last lines of a run.
-
-    Parameters
-    ----------
-    summary : dict
-        The content of ``summary.json``; read are ``last_row`` (the last row of the diagnostics
-        table), ``steps`` (number done by this run), ``total_seconds``, ``output`` (the folder),
-        ``phase_seconds`` (of which the set-up counts), ``ended`` and, in ``options``, ``flow``,
-        ``shear_rate``, ``tether``, ``ts_max_time`` and ``ts_max_steps``. What is missing is left
-        out.
-
-    Returns
-    -------
-    list of str
-        The frequency is that of vesicles that tread; those that tumble have the time of their last
-        half turn instead.  All that is left out without a vesicle or a flow, the errors
-        without a vesicle. Several vesicles share a line; of their errors the largest is given.
-    """
-    row = summary.get("last_row") or {}
-    lines = []
-
-    def add(title, text):
-        lines.append(f"{title:<20}{text}")
-
-    options = summary.get("options", {})
-    if options.get("flow") != "rest" and options.get("shear_rate") != 0:
-        halves = _values(row, "half_turn")
-        # Of one that tumbles a frequency of treading means nothing.
-        treads = [value for value, half in itertools.zip_longest(
-            _values(row, "treading_frequency"), halves) if half is None]
-        for title, values, unit in (
-            ("inclination / pi", _values(row, "inclination"), math.pi),
-            ("treading frequency", treads, 1.0),
-            ("half-turn period", halves, 1.0),
-        ):
-            values = [value for value in values if _number(value)]
-            if values:
-                add(title, ", ".join(f"{value / unit:.5g}" for value in values))
-    if options.get("tether"):
-        for name in ("drag", "lift"):
-            add(name, ", ".join(f"{value:.5g}" for value in _values(row, name) if _number(value)))
-    for title, name in (("area error", "area_error"), ("perimeter error", "perimeter_error")):
-        if _number(_value(row, name)):
-            add(title, f"{_value(row, name):.3e}")
-    steps, seconds = summary.get("steps"), summary.get("total_seconds")
-    if steps and _number(seconds):
-        set_up = summary.get("phase_seconds", {}).get("set-up", 0.0)
-        seconds -= set_up
-        add("seconds per step", f"{seconds / steps:.3g} ({steps} steps in {seconds:.3g} s, after "
-            f"{set_up:.2g} s of set-up)")
-    if summary.get("output"):
-        add("results in", summary["output"])
-        lines += _what_next(summary, options)
-    if summary.get("doubts"):
-        lines.append("not to be trusted without a look at")
-        lines += [f"  {doubt}" for doubt in summary["doubts"]]
-    return lines
-
-
-def _what_next(summary, options):
-    """Lines for who sees their first results."""
-    folder = summary["output"]
-    pictures = [name for name in ("outlines.png", "fields.png")
-                if os.path.exists(os.path.join(folder, name))]
-    look = pictures or ["diagnostics.csv"]
-    lines = [f"{'look at':<20}" + ", ".join(os.path.join(folder, name) for name in look)]
-    end = options.get("ts_max_time")
-    if end is not None and summary.get("ended") == "finished":
-        on, most = f"-ts_max_time {2 * end:g}", options.get("ts_max_steps")
-        if most is not None:  # a restart refuses the limit that it has reached
-            on += f" -ts_max_steps {2 * most}"
-        lines.append(f"{'to go on':<20}-restart latest -output {folder} {on}")
-        if not options.get("given"):
-            lines.append(f"{'something else':<20}-scene list, -help, -stag_grid_x 128 -fft")
-    return lines
-
-
-def _number(value):
-    return value is not None and math.isfinite(value)
-
-
-def _values(row, name):
-    """The entries of a column: one, or with several vesicles those of name_0, name_1, ..."""
-    if name in row:
-        return [row[name]]
-    values = []
-    while f"{name}_{len(values)}" in row:
-        values.append(row[f"{name}_{len(values)}"])
-    return values
-
-
-def _value(row, name):
-    """The entry of a column; with several vesicles the largest in size; None if there is none."""
-    values = [value for value in _values(row, name) if value is not None]
-    # A NaN is worse than any number and must not hide behind one.
-    return max(values, key=lambda v: math.inf if math.isnan(v) else abs(v), default=None)
 
 
 def _twentieth(fraction):

@@ -15,11 +15,11 @@ from petsc4py import PETSc
 from .. import installation
 from ..errors import InputError, ours
 from . import checkpoint, files, lock, monitor, tables
-from .files import on_root
+from .files import by_root
 
 PREVIOUS = "previous"  # subfolder for what a new run would otherwise overwrite
 TABLES = ("diagnostics.csv", "outlines.csv")
-SAVED = (*checkpoint.NAMES, "fields-#.h5")
+SAVED = (*files.CHECKPOINTS, "fields-#.h5")
 TRACEBACK = "traceback.txt"
 PICTURES = (
     "outlines.png", "inclination.png", "conservation.png", "energy.png", "ledger.png", "fields.png",
@@ -32,9 +32,9 @@ OURS = (*TABLES, *SAVED, *OTHERS)  # all that a run writes; nothing else is touc
 class Results:
     """Writes what a run leaves behind.  Collective.
 
-    The folder holds one history: a new run, or a restart from an earlier step, first moves what
-    it is going to do again into the subfolder ``previous``.  What that held already stays, as
-    ``previous-1``, ``previous-2`` and so on.
+    The folder holds one history: a new run, or a restart from an earlier step, first moves the
+    files that it would write again into the subfolder ``previous``.  What that held already is kept
+    as ``previous-1``, ``previous-2`` and so on.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class Results:
         self.last_row = None
         self.diagnostics = self.outlines = self.lock = None
         try:
-            on_root(self.comm, lambda: self._open(columns, header), InputError)
+            by_root(self.comm, lambda: self._open(columns, header), InputError)
         except InputError:
             self.release()
             raise
@@ -164,7 +164,7 @@ class Results:
                     self.outlines.write(tables.outline_row(
                         state.step, state.time, number, markers, self.longest))
 
-        on_root(self.comm, write)
+        by_root(self.comm, write)
         self.monitor.update(row)
 
     def write_fields(self, state):
@@ -185,9 +185,9 @@ class Results:
             On all ranks.
         """
         path = self.path(name or checkpoint.name_of(state.step))
-        on_root(self.comm, self._sync)
+        by_root(self.comm, self._sync)
         checkpoint.save(path, self.problem, state, self.settings, progress)
-        on_root(self.comm, self._prune)
+        by_root(self.comm, self._prune)
         return path
 
     def _sync(self):
@@ -197,7 +197,7 @@ class Results:
                 table.sync()
 
     def _prune(self):
-        old = files.named(self.folder, checkpoint.NAMES[0])[: -self.settings.checkpoint_keep]
+        old = files.named(self.folder, files.CHECKPOINTS[0])[: -self.settings.checkpoint_keep]
         for path in old:
             os.unlink(path)
 
@@ -226,7 +226,7 @@ class Results:
 
     def _write_summary(self, summary):
         text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
-        on_root(self.comm, lambda: files.write_text(self.path("summary.json"), text))
+        by_root(self.comm, lambda: files.write_text(self.path("summary.json"), text))
 
     def draw(self):
         """Draw the pictures on rank 0; what cannot be drawn does not fail the run."""

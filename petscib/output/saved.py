@@ -3,7 +3,6 @@
 Nothing here is collective: rank 0 alone, or a program of its own, looks at the files.
 """
 
-import glob
 import json
 import os
 from contextlib import contextmanager
@@ -13,6 +12,7 @@ import numpy as np
 
 from ..schemes.registry import SCHEMES
 from . import tables
+from .files import CHECKPOINTS, named
 
 
 class Fields(NamedTuple):
@@ -46,9 +46,7 @@ def read_moments(folder):
 
 def saved_files(folder):
     """Checkpoints and the final file, newest first."""
-    paths = glob.glob(os.path.join(glob.escape(folder), "checkpoint-*.h5"))
-    paths += glob.glob(os.path.join(glob.escape(folder), "final.h5"))
-    return sorted(paths, key=os.path.getmtime, reverse=True)
+    return sorted(named(folder, *CHECKPOINTS), key=os.path.getmtime, reverse=True)
 
 
 def read_options(folder):

@@ -3,6 +3,8 @@
 import os
 from contextlib import contextmanager
 
+from .files import replacing
+
 STYLE = {
     "font.family": "STIXGeneral",
     "mathtext.fontset": "stix",
@@ -58,6 +60,10 @@ def picture(path, width, height, save=True):
         figure.path = path
         yield figure
         if save:
-            part = f"{path}.part"
-            figure.savefig(part, format="png", bbox_inches="tight", pad_inches=0.06)
-            os.replace(part, path)
+            with replacing(path) as part:
+                figure.savefig(part, format="png", bbox_inches="tight", pad_inches=0.06)
+
+
+def path_of(folder, output, name):
+    """Where a picture of a run's folder goes: there, or into another folder."""
+    return os.path.join(folder if output is None else output, name)

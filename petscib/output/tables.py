@@ -11,6 +11,8 @@ from numbers import Integral
 
 import numpy as np
 
+from .files import replacing
+
 OUTLINE_KEYS = ("step", "time", "vesicle")
 
 
@@ -62,13 +64,11 @@ class Table:
         if header != columns:
             raise ValueError(f"{path}: {_difference(header, columns)}")
         key = columns.index("step")
-        shortened = f"{path}.part"
-        with open(shortened, "w", newline="\n") as file:
+        with replacing(path) as shortened, open(shortened, "w", newline="\n") as file:
             file.write(",".join(header) + "\n")
             for row in lines:
                 if _numbers(path, [row[key]])[0] <= step:
                     file.write(",".join(row) + "\n")
-        os.replace(shortened, path)
         table = cls.__new__(cls)
         table._attach(path, columns, "a")
         return table

@@ -32,7 +32,7 @@ import h5py
 import numpy as np
 from petsc4py import PETSc
 
-from . import files
+from . import files, hdf5
 
 _HEAD = """<?xml version="1.0" ?>
 <Xdmf Version="2.0">
@@ -141,7 +141,7 @@ class Series:
         lines = (("x", a, b, grid.m), ("y", c, d, grid.n))
         datasets = [
             *(
-                files.Dataset(axis, np.linspace(low, high, count + 1)[self._mine], (count + 1,))
+                hdf5.Dataset(axis, np.linspace(low, high, count + 1)[self._mine], (count + 1,))
                 for axis, low, high, count in lines
             ),
             _real("fluid/velocity", velocity, (*shape, 3), (*box, slice(None))),
@@ -155,8 +155,8 @@ class Series:
         if problem.membranes is not None:
             datasets += self._vesicles(state)
         attributes = {"/": {"step": state.step, "time": state.time}}
-        files.write_hdf5(os.path.join(self.folder, name), self.comm, datasets, attributes)
-        files.on_root(self.comm, lambda: self._index(name, state.time))
+        hdf5.write_hdf5(os.path.join(self.folder, name), self.comm, datasets, attributes)
+        files.by_root(self.comm, lambda: self._index(name, state.time))
 
     def _vesicles(self, state):
         """Datasets of all vesicles; the ranks without markers know their shapes."""
@@ -171,7 +171,7 @@ class Series:
             datasets += [
                 _real(f"vesicle_{k}/X", _at_home(grid, state.markers[first:last]),
                       (last - first, 2)),
-                files.Dataset(f"vesicle_{k}/edges", edges[self._mine], edges.shape),
+                hdf5.Dataset(f"vesicle_{k}/edges", edges[self._mine], edges.shape),
                 _real(f"vesicle_{k}/tension", tension[begin:end], (end - begin,)),
                 _real(f"vesicle_{k}/stretch", state.stretch[begin:end], (end - begin,)),
             ]
@@ -242,7 +242,7 @@ def _at_home(grid, markers):
 
 
 def _real(path, values, shape, box=None):
-    return files.Dataset(path, values.astype(np.float32), shape, box)
+    return hdf5.Dataset(path, values.astype(np.float32), shape, box)
 
 
 def _item(frame, path, *shape, kind="Float", size=4):

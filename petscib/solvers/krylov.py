@@ -6,6 +6,7 @@ from contextlib import contextmanager
 import numpy as np
 from petsc4py import PETSc
 
+from .. import entries
 from ..errors import InputError, SolveError
 
 _REASONS = {
@@ -13,7 +14,6 @@ _REASONS = {
     for name, value in vars(PETSc.KSP.ConvergedReason).items()
     if isinstance(value, int) and name.startswith("DIVERGED")
 }
-_entered = []  # full names of the defaults that are in PETSc's database
 
 
 class Operator:
@@ -81,25 +81,8 @@ def set_defaults(prefix, defaults):
 
     They stay in PETSc's database, because inner solvers read theirs late.
     """
-    options = PETSc.Options(prefix)
     for name, value in defaults.items():
-        if not options.hasName(name):
-            options[name] = value
-            _entered.append(prefix + name)
-
-
-def entered_defaults():
-    """How many defaults are in PETSc's database."""
-    return len(_entered)
-
-
-def withdraw_defaults(first=0):
-    """Take the defaults from the `first` on out of PETSc's database again.
-
-    The next run in this process must not find them; one that began earlier may still need its own.
-    """
-    while len(_entered) > first:
-        PETSc.Options().delValue(_entered.pop())
+        entries.present().add_default(prefix + name, value)
 
 
 def create(matrix, prefix, defaults):

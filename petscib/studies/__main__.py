@@ -1,4 +1,4 @@
-"""``python -m petscib.studies [-quick] [-output DIR] [-ranks N]``: all studies, one by one."""
+"""``python -m petscib.studies [-quick] [-output DIR] [-cells N,...] [-ranks N]``: all studies."""
 
 import argparse
 import importlib

@@ -12,7 +12,6 @@ import json
 import os
 import sys
 from dataclasses import dataclass, replace
-from math import log
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from ..output.style import GREY
 from ..schemes.registry import SCHEMES
 from . import cputime, report
 from .campaign import Campaign
+from .records import power
 from .runs import Run
 
 STIFFNESSES = 1e5, 1e9
@@ -149,9 +149,9 @@ def study(bench, cells, most_literal, explicit, coupled, multigrid):
         for number, case in enumerate(cases, 1)
     }
     start = start_up(bench, 128)
-    bench.write(
+    bench.write_records(
         COLUMNS,
-        [[record.get(name) for name in COLUMNS] for record in records.values()],
+        records.values(),
         _steps_table(records) + _others_table(records) + _explicit_table(records)
         + _targets_table(records, start),
     )
@@ -195,12 +195,12 @@ def momentum_seconds(record):
 
 def exponent(records, solver, ranks=1, sigma0=1e9, least=128):
     """The power of the number of cells that the seconds of a step grow with; None for one grid."""
-    points = [
-        (log(case.cells**2), log(record["step_seconds"])) for case, record in records.items()
+    found = {
+        case.cells**2: record["step_seconds"] for case, record in records.items()
         if (case.solver, case.ranks, case.sigma0, case.scheme) == (solver, ranks, sigma0, "mbe")
         and case.cells >= least and "step_seconds" in record
-    ]
-    return float(np.polyfit(*zip(*points), 1)[0]) if len(points) > 1 else None
+    }
+    return power(found.keys(), found.values())
 
 
 def speed_up(records, case):
@@ -352,10 +352,7 @@ def _draw(path, records):
         memory.set_ylim(bottom=0)
         seconds.set_yscale("log")
         for axis in (seconds, memory):
-            axis.set_xscale("log")
-            axis.set_xlabel("cells across")
-            axis.set_xticks(cells, [str(count) for count in cells])
-            axis.minorticks_off()
+            report.cells_axis(axis, cells)
         _draw_shares(shares, records, [case for case in ours if case in records])
         report.legend_below(figure, seconds, 4)
 

@@ -6,6 +6,7 @@ import signal
 import sys
 from time import perf_counter
 
+from ..output.files import write_text
 from . import report, runs
 
 _INDEX = ("run", "title", "status", "steps", "seconds", "reason", "command")
@@ -118,6 +119,10 @@ class Campaign:
         """Path of a file in the study's folder."""
         return os.path.join(self.output, name)
 
+    def write_records(self, columns, records, text):
+        """The same for records, dicts by column; an entry that is missing does not apply."""
+        self.write(columns, [[one.get(name) for name in columns] for one in records], text)
+
     def write(self, columns, rows, text):
         """Leave the study's results: NAME.csv, and the Markdown text with NAME.md's usual end.
 
@@ -151,7 +156,7 @@ class Campaign:
                   self._outcomes[key].reason.replace("|", "/")] for key in without])
         text += f"\nMade by `python -m petscib.studies.{self.name}{words}`"
         text += f"; the command of every run is in `runs.csv`, such as\n`{examples[-1]}`.\n"
-        report.write_text(self.path(f"{self.name}.md"), text)
+        write_text(self.path(f"{self.name}.md"), text)
         print(text)
         self._say(f"results in {self.output}")
 

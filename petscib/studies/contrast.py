@@ -15,8 +15,8 @@ import numpy as np
 from ..membranes.shapes import ellipse_perimeter
 from . import report
 from .campaign import Campaign
+from .ellipses import ellipse_axes, even_markers, reduced_area
 from .reference import CONTRAST, CRITICAL, FREE, FREE_CRITICAL, TUMBLING
-from .tanktreading import ellipse_axes
 
 SHAPES = (0.25, 0.5), (0.1, 0.3)
 CONTRASTS = {(0.25, 0.5): (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 15.0),
@@ -105,9 +105,8 @@ def study(campaign, curve, contrasts, free, free_contrasts, tumbling, critical, 
     for reduced in areas:
         for contrast in mapped:
             run("map", ellipse_axes(reduced, PERIMETER), contrast, map_cells, **level)
-    campaign.write(COLUMNS, [[one.get(name) for name in COLUMNS] for one in records],
-                   _markdown(records, found))
-    _draw(campaign.path("contrast.png"), records, found)
+    campaign.write_records(COLUMNS, records, _markdown(records, found))
+    _draw(campaign.path("contrast.png"), records)
     return records, found
 
 
@@ -118,11 +117,9 @@ def free_bending():
 
 def declare(axes, contrast, cells, box, strain, **more):
     """Options of one run."""
-    # Point-symmetric markers keep it in the middle.
-    markers = 2 * round(ellipse_perimeter(axes) * cells / box / 2)
     return dict(
         dict(scene="tanktreading", scheme="gcn", delta="yang", fft=True, stag_grid_x=cells,
-             domain=(-box, box, -box, box), axes=axes, markers=markers,
+             domain=(-box, box, -box, box), axes=axes, markers=even_markers(axes, cells, box),
              viscosity_contrast=contrast, ts_dt=0.1 if contrast >= 0.2 else 1 / 16,
              ts_max_time=strain, ledger="record"), **more)
 
@@ -134,7 +131,7 @@ def judge(part, axes, contrast, cells, box, outcome):
         truth = FREE.get(contrast, np.nan) / np.pi, None
     record = dict(
         part=part, rx=axes[0], ry=axes[1], contrast=contrast, cells=cells, box=box,
-        reduced_area=4 * np.pi**2 * axes[0] * axes[1] / ellipse_perimeter(axes) ** 2,
+        reduced_area=reduced_area(axes),
         status=outcome.status, inclination_truth=truth[0], frequency_truth=truth[1],
         area_error=outcome.largest("area_error"), step_seconds=outcome.step_seconds,
         ledger_residual=outcome.largest("ledger_residual"))
@@ -208,102 +205,144 @@ def _of(records, part, axes=None):
             if one["part"] == part and (axes is None or (one["rx"], one["ry"]) == axes)]
 
 
+def _contrasts(records):
+    """Records by contrast, from the least on."""
+    found = {}
+    for one in sorted(records, key=lambda one: one["contrast"]):
+        found.setdefault(one["contrast"], []).append(one)
+    return found
+
+
+def _limit(records):
+    """Where the inclination leads to as boxes grow."""
+    return extrapolated([1 / one["box"] for one in records],
+                        [one.get("inclination_over_pi") for one in records])
+
+
 def _markdown(records, found):
-    number, text = report.number, ""
-    for axes in SHAPES:
-        some = _of(records, "curve", axes)
-        cells = sorted({one["cells"] for one in some})
-        rows = []
-        for contrast in sorted({one["contrast"] for one in some}):
-            each = {one["cells"]: one for one in some if one["contrast"] == contrast}
-            truth = each[cells[0]]["inclination_truth"]
-            row = [f"{contrast:g}"]
-            for name, reference, digits in (("inclination_over_pi", "inclination_truth", 4),
-                                            ("frequency", "frequency_truth", 4)):
-                values = [each[count].get(name) for count in cells]
-                row += [number(value, digits) for value in values]
-                row.append(number(each[cells[0]][reference], digits))
-            errors = [abs(each[count].get("inclination_over_pi", np.nan) - truth)
-                      for count in cells] if truth is not None else []
-            with np.errstate(divide="ignore"):
-                order = (np.log(errors[0] / errors[-1]) / np.log(cells[-1] / cells[0])
-                         if len(errors) > 1 else None)
-            rows.append([*row, number(order, 2),
-                         number(max(each[count].get("iterations") or 0 for count in cells), 3)])
-        if rows:
-            header = ["contrast", *(f"theta/pi, {count}^2" for count in cells), "truth",
-                      *(f"f, {count}^2" for count in cells), "truth", "order of theta",
-                      "iterations a pass"]
-            text += f"Axes {axes}:\n\n" + report.markdown_table(header, rows) + "\n"
-    some, rows = _of(records, "free"), []
-    for contrast in sorted({one["contrast"] for one in some}):
-        each = [one for one in some if one["contrast"] == contrast]
-        values = [one.get("inclination_over_pi") for one in each]
-        limit = extrapolated([1 / one["box"] for one in each], values)
-        rows.append([f"{contrast:g}", *(number(value, 4) for value in values), number(limit, 4),
-                     number(each[0]["inclination_truth"], 4)])
-    if rows:
-        header = ["contrast", *(f"box {one['box']:g}" for one in each), "extrapolated", "published"]
-        text += ("Ellipse 1:3, theta/pi in boxes of these half widths:\n\n"
-                 + report.markdown_table(header, rows) + "\n")
+    worst = max((one["ledger_residual"] for one in records if one["ledger_residual"] is not None),
+                default=None)
+    parts = [_curve_table(axes, _of(records, "curve", axes)) for axes in SHAPES]
+    parts += [_free_table(_of(records, "free")), _tumbling_table(_of(records, "tumbling")),
+              _critical_table(found),
+              f"Largest ledger residual of all runs: {report.number(worst, 2)}.\n"]
+    return "\n".join(filter(None, parts))
+
+
+def _curve_table(axes, records):
+    """Inclination and frequency over the contrast, beside the truth."""
+    if not records:
+        return ""
+    cells, rows = sorted({one["cells"] for one in records}), []
+    for contrast, group in _contrasts(records).items():
+        each = {one["cells"]: one for one in group}
+        coarsest = each[cells[0]]
+        row = [f"{contrast:g}"]
+        for name, reference in (("inclination_over_pi", "inclination_truth"),
+                                ("frequency", "frequency_truth")):
+            row += [report.number(each[count].get(name), 4) for count in cells]
+            row.append(report.number(coarsest[reference], 4))
+        row.append(report.number(_order(cells, each, coarsest["inclination_truth"]), 2))
+        row.append(report.number(max(one.get("iterations") or 0 for one in group), 3))
+        rows.append(row)
+    header = ["contrast", *(f"theta/pi, {count}^2" for count in cells), "truth",
+              *(f"f, {count}^2" for count in cells), "truth", "order of theta",
+              "iterations a pass"]
+    return f"Axes {axes}:\n\n" + report.markdown_table(header, rows)
+
+
+def _order(cells, records, truth):
+    """Observed order of the inclination from the coarsest to the finest grid; None without any."""
+    if truth is None or len(cells) < 2:
+        return None
+    first, last = (abs(records[count].get("inclination_over_pi", np.nan) - truth)
+                   for count in (cells[0], cells[-1]))
+    with np.errstate(divide="ignore"):
+        return np.log(first / last) / np.log(cells[-1] / cells[0])
+
+
+def _free_table(records):
+    """Inclination in boxes that grow, beside what is published without walls."""
+    if not records:
+        return ""
+    rows = []
+    for contrast, group in _contrasts(records).items():
+        values = [one.get("inclination_over_pi") for one in group]
+        rows.append([f"{contrast:g}", *(report.number(value, 4) for value in values),
+                     report.number(_limit(group), 4),
+                     report.number(group[0]["inclination_truth"], 4)])
+    header = ["contrast", *(f"box {one['box']:g}" for one in group), "extrapolated", "published"]
+    return ("Ellipse 1:3, theta/pi in boxes of these half widths:\n\n"
+            + report.markdown_table(header, rows))
+
+
+def _tumbling_table(records):
+    """The time of half a turn, by grid."""
     rows = [[f"{one['cells']}^2", one.get("regime") or one["status"],
-             number(one.get("half_turn"), 5), number(TUMBLING["half_turn"], 5)]
-            for one in _of(records, "tumbling")]
-    text += (f"Axes {TUMBLER}, contrast {TUMBLING_CONTRAST:g}, time of the first half turn:\n\n"
-             + report.markdown_table(["grid", "regime", "half turn", "truth"], rows) + "\n")
+             report.number(one.get("half_turn"), 5), report.number(TUMBLING["half_turn"], 5)]
+            for one in records]
+    return (f"Axes {TUMBLER}, contrast {TUMBLING_CONTRAST:g}, time of the first half turn:\n\n"
+            + report.markdown_table(["grid", "regime", "half turn", "truth"], rows))
+
+
+def _critical_table(found):
+    """The contrast between treading and tumbling, by shape and grid."""
     rows = []
     for axes in SHAPES:
         each = {cells: value for (shape, cells), value in found.items() if shape == axes}
         limit = extrapolated([1 / cells for cells in each], list(each.values()))
-        rows.append([str(axes), *(number(value, 4) for value in each.values()), number(limit, 4),
-                     number(CRITICAL[axes], 5)])
-    text += "Critical contrast:\n\n" + report.markdown_table(
+        rows.append([str(axes), *(report.number(value, 4) for value in each.values()),
+                     report.number(limit, 4), report.number(CRITICAL[axes], 5)])
+    return "Critical contrast:\n\n" + report.markdown_table(
         ["axes", *(f"{cells}^2" for cells in each), "extrapolated", "truth"], rows)
-    worst = max((one["ledger_residual"] for one in records if one["ledger_residual"] is not None),
-                default=None)
-    return text + f"\nLargest ledger residual of all runs: {number(worst, 2)}.\n"
 
 
-def _draw(path, records, found):
-    with report.picture(path, 13, 4.2, columns=3) as (figure, axes):
+def _draw(path, records):
+    with report.picture(path, 13, 4.2, columns=3) as (_, axes):
         tilt, turn, phases = axes[0]
         for colour, shape in zip(report.SERIES_COLOURS, SHAPES):
-            some = _of(records, "curve", shape)
-            finest = max((one["cells"] for one in some), default=None)
-            some = [one for one in some
-                    if one["cells"] == finest and one.get("inclination_over_pi") is not None]
-            truth = sorted(CONTRAST[shape].items())
-            for axis, name, column in ((tilt, "inclination_over_pi", 0), (turn, "frequency", 1)):
-                axis.plot([one["contrast"] for one in some], [one[name] for one in some], "o-",
-                          color=colour, label=f"axes {shape[0]:g}, {shape[1]:g}")
-                axis.plot([contrast for contrast, _ in truth],
-                          [values[column] for _, values in truth], "k+", markersize=10)
-            tilt.plot([CRITICAL[shape]], [0], "k+", markersize=10)
-        free, limits = _of(records, "free"), []
-        for contrast in sorted({one["contrast"] for one in free}):
-            each = [one for one in free if one["contrast"] == contrast]
-            limits.append((contrast, extrapolated(
-                [1 / one["box"] for one in each],
-                [one.get("inclination_over_pi") for one in each])))
-        limits = [(contrast, value) for contrast, value in limits if value is not None]
-        colour = report.SERIES_COLOURS[2]
-        tilt.plot(*zip(*limits), "s-", color=colour, label="1:3 without walls") if limits else None
-        tilt.plot([*FREE, FREE_CRITICAL], [*np.array(list(FREE.values())) / np.pi, 0], "kx")
+            _draw_curves(tilt, turn, shape, _of(records, "curve", shape), colour)
+        _draw_free(tilt, _of(records, "free"))
         tilt.set(xscale="log", xlabel="viscosity contrast", ylabel=r"inclination $\theta/\pi$")
         turn.set(xscale="log", xlabel="viscosity contrast", ylabel="treading frequency $f$")
         tilt.legend(fontsize=8)
-        for kind, marker, colour in ((TREADS, "o", report.SERIES_COLOURS[0]),
-                                     (TUMBLES, "x", report.SERIES_COLOURS[1])):
-            some = [one for one in records if one.get("regime") == kind and one["part"] in (
-                "map", "curve", "critical", "tumbling")]
-            phases.plot([one["reduced_area"] for one in some],
-                        [one["contrast"] for one in some], marker, color=colour, alpha=0.6,
-                        label=kind, linestyle="none")
-        for shape in SHAPES:
-            reduced = 4 * np.pi**2 * shape[0] * shape[1] / ellipse_perimeter(shape) ** 2
-            phases.plot([reduced], [CRITICAL[shape]], "k_", markersize=24)
-        phases.set(yscale="log", xlabel="reduced area", ylabel="viscosity contrast")
-        phases.legend(fontsize=8)
+        _draw_regimes(phases, records)
+
+
+def _draw_curves(tilt, turn, shape, records, colour):
+    """Inclination and frequency on the finest grid; crosses are the truth."""
+    finest = max((one["cells"] for one in records), default=None)
+    steady = [one for one in records
+              if one["cells"] == finest and one.get("inclination_over_pi") is not None]
+    truth = sorted(CONTRAST[shape].items())
+    for axis, name, column in ((tilt, "inclination_over_pi", 0), (turn, "frequency", 1)):
+        axis.plot([one["contrast"] for one in steady], [one[name] for one in steady], "o-",
+                  color=colour, label=f"axes {shape[0]:g}, {shape[1]:g}")
+        axis.plot([contrast for contrast, _ in truth], [values[column] for _, values in truth],
+                  "k+", markersize=10)
+    tilt.plot([CRITICAL[shape]], [0], "k+", markersize=10)
+
+
+def _draw_free(axis, records):
+    """Where boxes that grow lead to; crosses are what is published."""
+    limits = [(contrast, _limit(group)) for contrast, group in _contrasts(records).items()]
+    limits = [(contrast, value) for contrast, value in limits if value is not None]
+    if limits:
+        axis.plot(*zip(*limits), "s-", color=report.SERIES_COLOURS[2], label="1:3 without walls")
+    axis.plot([*FREE, FREE_CRITICAL], [*np.array(list(FREE.values())) / np.pi, 0], "kx")
+
+
+def _draw_regimes(axis, records):
+    """Who treads and who tumbles, over reduced area and contrast."""
+    for kind, marker, colour in ((TREADS, "o", report.SERIES_COLOURS[0]),
+                                 (TUMBLES, "x", report.SERIES_COLOURS[1])):
+        some = [one for one in records if one.get("regime") == kind and one["part"] != "free"]
+        axis.plot([one["reduced_area"] for one in some], [one["contrast"] for one in some], marker,
+                  color=colour, alpha=0.6, label=kind, linestyle="none")
+    for shape in SHAPES:
+        axis.plot([reduced_area(shape)], [CRITICAL[shape]], "k_", markersize=24)
+    axis.set(yscale="log", xlabel="reduced area", ylabel="viscosity contrast")
+    axis.legend(fontsize=8)
 
 
 if __name__ == "__main__":

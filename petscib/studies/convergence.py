@@ -162,9 +162,7 @@ def _draw(path, cells, measured):
                     axis.loglog(cells, slope, color="k", linestyle="--", linewidth=0.8,
                                 label="order 1")
                 axis.set_title(f"{label}, {method}")
-                axis.set_xlabel("cells across")
-                axis.set_xticks(cells, [str(count) for count in cells])
-                axis.minorticks_off()
+                report.cells_axis(axis, cells)
         report.legend_below(figure, axes[0, 0], 9)
 
 

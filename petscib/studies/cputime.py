@@ -59,8 +59,7 @@ def study(campaign, cells, explicit_steps, implicit_steps, time_limit, schemes=S
     outcomes = campaign.run_all(declared, time_limit)
     records = [_record(label, declared[label]["ts_dt"], outcome)
                for label, outcome in outcomes.items()]
-    campaign.write(COLUMNS, [[one.get(name) for name in COLUMNS] for one in records],
-                   _markdown(records, campaign.ranks))
+    campaign.write_records(COLUMNS, records, _markdown(records, campaign.ranks))
     _draw(campaign.path("cputime.png"), records)
     return records
 
@@ -142,9 +141,7 @@ def _draw(path, records):
                     _line(axis, group, name, methods.title(scheme, method), line)
                     _line(axis, group, "paper_" + name, f"{scheme}, Hu & Lai", ":", mfc="none")
             axis.set_title(title)
-            axis.set_xlabel("cells across")
-            axis.set_xticks(cells, [str(count) for count in cells])
-            axis.minorticks_off()
+            report.cells_axis(axis, cells)
         report.legend_below(figure, axes[0, 0], 5)
 
 

@@ -59,8 +59,7 @@ def study(campaign, scenes, time_limit, **changed):
             finer.update(places(ours, settings))
         finer = campaign.run(f"{name}, finer", finer, time_limit, progress)
         records.append(_record(name, settings, ours, finer))
-    campaign.write(COLUMNS, [[one.get(column) for column in COLUMNS] for one in records],
-                   _markdown(records))
+    campaign.write_records(COLUMNS, records, _markdown(records))
     return records
 
 

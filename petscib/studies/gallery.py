@@ -6,7 +6,7 @@ The picture shows speed, streamlines and vorticity at the end, with the membrane
 import os
 import sys
 
-from ..output import plots
+from ..output import views
 from ..scenes import SCENES
 from .campaign import Campaign
 
@@ -49,7 +49,7 @@ def study(campaign, scenes, animated, words, time_limit):
 
 def _drawn(campaign, scene, outcome, animated):
     """Draw a scene's pictures under its name; returns the names of the files."""
-    draw = (plots.plot_fields, plots.animate) if animated else (plots.plot_fields,)
+    draw = (views.plot_fields, views.animate) if animated else (views.plot_fields,)
     names = []
     for path in (one(outcome.folder, campaign.output) for one in draw):
         if path is not None:

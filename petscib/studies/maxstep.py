@@ -104,8 +104,7 @@ def study(campaign, cells, stiffnesses, explicit_steps, octave, time_limit, sche
             except NoResultError:
                 record["relation"] = UNKNOWN
             records.append(record)
-    campaign.write(COLUMNS, [[one.get(name) for name in COLUMNS] for one in records],
-                   _markdown(records, explicit_steps, octave))
+    campaign.write_records(COLUMNS, records, _markdown(records, explicit_steps, octave))
     _draw(campaign.path("maxstep.png"), records, stiffnesses)
     return records
 
@@ -233,7 +232,6 @@ def _draw(path, records, stiffnesses):
         for axis, sigma0 in zip(axes[0], stiffnesses):
             _draw_panel(axis, [one for one in records if one["sigma0"] == sigma0])
             axis.set_title(f"$\\sigma_0$ = {report.number(sigma0, 1)}")
-            axis.set_xlabel("cells across")
         axes[0, 0].set_ylabel(r"largest stable $\Delta t$")
         report.legend_below(figure, axes[0, 0], 5)
 
@@ -261,8 +259,7 @@ def _draw_panel(axis, records):
         label = f"$\\Delta t$ = {ratio:g} $h$" if ratio > 1 else r"$\Delta t = h$"
         axis.loglog(ends, 2 / ends * ratio, color="k", linewidth=0.8, linestyle=line, label=label)
     axis.set_xlim(ends)
-    axis.set_xticks(cells, [str(count) for count in cells])
-    axis.minorticks_off()
+    report.cells_axis(axis, cells)
 
 
 if __name__ == "__main__":

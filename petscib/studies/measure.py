@@ -21,25 +21,25 @@ def main(arguments=None):
     parser.add_argument("-warm_up", type=int, default=2)
     ours, others = parser.parse_known_args(arguments)
 
-    import petsc4py
+    from .. import options, petsc
 
-    petsc4py.init([sys.argv[0], *others])
+    petsc.start(others)
     from petsc4py import PETSc
 
-    from .. import options
     from ..driver import Driver
-    from ..errors import InputError, OutputError, SolveError
+    from ..errors import Error
 
     root = PETSc.COMM_WORLD.rank == 0
     try:
         simulation = Driver(options.read(PETSc.Options().getAll()))
         clock = Clock(simulation, ours.warm_up)
         try:
-            simulation.run(clock.tick)
+            for _ in simulation.steps():
+                clock.tick()
             record = clock.record()
         finally:
             simulation.destroy()
-    except (InputError, SolveError, OutputError) as error:
+    except Error as error:
         if root:
             print(f"petscib: {error}", file=sys.stderr)
         return error.exit_status
@@ -54,7 +54,7 @@ class Clock:
 
     Parameters
     ----------
-    simulation : Simulation
+    simulation : Driver
     warm_up : int
         Steps that are not measured: the first ones set up solvers.
     """

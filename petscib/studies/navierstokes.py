@@ -16,7 +16,8 @@ from ..schemes.registry import SCHEMES
 from . import report
 from .campaign import Campaign
 from .convergence import rates
-from .tanktreading import ellipse_axes
+from .ellipses import ellipse_axes
+from .tanktreading import PERIMETER
 
 COLUMNS = ("part", "case", "scheme", "advection", "cells", "x", "quantity", "value", "rate",
            "seconds")
@@ -61,7 +62,7 @@ def main(arguments=None):
 def study(campaign, orders=(32, 64, 128), cavity=((100, 64), (100, 128), (1000, 64), (1000, 128)),
           cfls=(0.5, 0.7, 1, 2, 5, 10, 20), reynolds=(0.1, 1.0, 10.0, 30.0, 100.0),
           reduced_areas=(0.7, 0.9), grids=(48, 96), strain=20.0):
-    """Make the runs and the results; returns the rows of the CSV.
+    """Make the runs and the results; returns the records.
 
     Parameters
     ----------
@@ -85,10 +86,9 @@ def study(campaign, orders=(32, 64, 128), cavity=((100, 64), (100, 128), (1000, 
         profile, found = lid(campaign, reynolds_number, cells)
         records += found
         profiles[reynolds_number, cells] = profile
-    rows = [[one.get(name) for name in COLUMNS] for one in records]
-    campaign.write(COLUMNS, rows, _markdown(records))
+    campaign.write_records(COLUMNS, records, _markdown(records))
     _draw(campaign.path("navierstokes.png"), records, profiles)
-    return rows
+    return records
 
 
 def _records(part, key, found, **common):
@@ -201,7 +201,7 @@ def vesicles(campaign, reynolds, reduced_areas, grids, strain):
     """Mean inclination / pi and frequency over the last strain; grids, and a box twice as wide."""
     records = []
     for reduced in reduced_areas:
-        axes = ellipse_axes(reduced)
+        axes = ellipse_axes(reduced, PERIMETER)
         for number in reynolds:
             for half, cells in ((1.0, grids[0]), (1.0, grids[-1]), (2.0, 2 * grids[0])):
                 box = (-half, half, -half, half)
@@ -210,21 +210,12 @@ def vesicles(campaign, reynolds, reduced_areas, grids, strain):
                     stag_grid_x=cells, ts_dt=1 / 32, ts_max_time=strain))
                 for quantity, name, scale in (("inclination / pi", "inclination", np.pi),
                                               ("frequency", "treading_frequency", 1.0)):
+                    mean = outcome.mean(name, WINDOW) if outcome.finished else None
                     records.append(dict(
                         part="vesicle", case=f"V {reduced:g}, box {half:g}", scheme="gcn",
                         advection="implicit", cells=cells, x=number, quantity=quantity,
-                        value=_mean(outcome, name, scale), seconds=outcome.seconds))
+                        value=mean and mean / scale, seconds=outcome.seconds))
     return records
-
-
-def _mean(outcome, name, scale):
-    """Over the last strain; None where the run did not finish."""
-    if not outcome.finished:
-        return None
-    late = outcome.rows["time"] > outcome.last("time") - WINDOW
-    values = outcome.rows[name][late]
-    values = values[np.isfinite(values)]
-    return float(values.mean()) / scale if len(values) else None
 
 
 def spread(records, reduced, number, quantity):

@@ -1,10 +1,10 @@
 """What the studies leave: CSV, Markdown tables and pictures."""
 
 import csv
-import os
 from contextlib import contextmanager
 
 from ..output import style
+from ..output.files import replacing
 from ..output.style import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
 
 # One look for a scheme in every picture.
@@ -40,18 +40,10 @@ def markdown_table(header, rows):
 
 def write_csv(path, columns, rows):
     """Replace a CSV file; None becomes an empty field."""
-    with open(path + ".part", "w", newline="") as file:
+    with replacing(path) as part, open(part, "w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
         writer.writerows(rows)
-    os.replace(path + ".part", path)
-
-
-def write_text(path, text):
-    """Replace a text file."""
-    with open(path + ".part", "w") as file:
-        file.write(text)
-    os.replace(path + ".part", path)
 
 
 @contextmanager
@@ -69,6 +61,14 @@ def picture(path, width, height, rows=1, columns=1, **keywords):
     """
     with style.picture(path, width, height) as figure:
         yield figure, figure.subplots(rows, columns, squeeze=False, **keywords)
+
+
+def cells_axis(axis, cells):
+    """A logarithmic axis of grids, with a tick for each."""
+    axis.set_xscale("log")
+    axis.set_xlabel("cells across")
+    axis.set_xticks(cells, [str(count) for count in cells])
+    axis.minorticks_off()
 
 
 def legend_below(figure, axis, columns):

@@ -19,6 +19,7 @@ import numpy as np
 
 from .. import __version__, launch
 from ..output import tables
+from ..output.files import write_text
 from ..settings import text_of
 
 FINISHED, FAILED, REFUSED, CRASHED, STOPPED = (
@@ -125,6 +126,21 @@ class Outcome:
         """Last value of a column; None without any."""
         values = self.column(name)
         return float(values[-1]) if len(values) else None
+
+    def mean(self, name, window, back=0):
+        """Mean of a column over a window of time, where it applies; None where it never does.
+
+        Parameters
+        ----------
+        name : str
+        window : float
+        back : int
+            How many windows before the end of the run the last of these is.
+        """
+        time, values = self.rows["time"], self.rows[name]
+        end = time[-1] - back * window
+        values = values[(time > end - window) & (time <= end) & np.isfinite(values)]
+        return float(values.mean()) if len(values) else None
 
     @property
     def steps(self):
@@ -252,9 +268,7 @@ def _remember(outcome):
         "seconds": outcome.seconds,
         "time_limit": None if math.isinf(outcome.run.time_limit) else outcome.run.time_limit,
     }
-    with open(path + ".part", "w") as file:
-        json.dump(record, file, indent=2)
-    os.replace(path + ".part", path)
+    write_text(path, json.dumps(record, indent=2))
 
 
 def recall(run, folder):

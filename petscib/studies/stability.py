@@ -141,8 +141,7 @@ def study(campaign, chosen, steps=None, time_limit=900.0, schemes=SCHEMES):
         for case, scheme, method in labels}, time_limit)
     records = [judge(case, scheme, method, outcome)
                for (case, scheme, method), outcome in zip(labels, outcomes.values())]
-    campaign.write(COLUMNS, [[one.get(name) for name in COLUMNS] for one in records],
-                   _markdown(records, chosen, series))
+    campaign.write_records(COLUMNS, records, _markdown(records, chosen, series))
     _draw(campaign.path("stability.png"), records, chosen, series)
     return records
 

@@ -12,16 +12,17 @@ equilibrium, so grid and markers are point-symmetric and the centroid is watched
 
 import os
 import sys
-from functools import cache
 
 import numpy as np
 
 from ..membranes.shapes import ellipse_perimeter
 from . import methods, report
 from .campaign import Campaign
+from .ellipses import ellipse_axes, even_markers
 from .reference import TREADING
 
-PERIMETER = ellipse_perimeter((0.1, 0.5))
+AXES = (0.1, 0.5)
+PERIMETER = ellipse_perimeter(AXES)
 REDUCED_AREAS = 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.95, 0.99
 SHEAR_RATES = 1.0, 5.0, 10.0
 FIRST_STRAIN, NEXT_STRAIN, LAST_STRAIN = 6.0, 2.0, 24.0
@@ -58,24 +59,9 @@ def study(campaign, cells, reduced_areas, shear_rates, time_limit, last_strain=L
         outcome = _until_steady(campaign, case, f"{number}/{len(cases)}", time_limit,
                                 first_strain, last_strain)
         records.append(_record(case, outcome))
-    campaign.write(COLUMNS, [[one.get(name) for name in COLUMNS] for one in records],
-                   _markdown(records))
+    campaign.write_records(COLUMNS, records, _markdown(records))
     _draw(campaign.path("tanktreading.png"), records)
     return records
-
-
-@cache
-def ellipse_axes(reduced, perimeter=PERIMETER):
-    """Semi-axes (rx, ry), rx <= ry, of the ellipse of a reduced area and a perimeter."""
-    low, high = 0.0, 1.0
-    for _ in range(60):
-        ratio = (low + high) / 2
-        if 4 * np.pi**2 * ratio / ellipse_perimeter((ratio, 1.0)) ** 2 < reduced:
-            low = ratio
-        else:
-            high = ratio
-    long_axis = perimeter / ellipse_perimeter((ratio, 1.0))
-    return ratio * long_axis, long_axis
 
 
 def declare(method, rate, reduced, cells, strain):
@@ -85,7 +71,7 @@ def declare(method, rate, reduced, cells, strain):
         dt = min(dt, 0.5 / cells)
     return dict(
         METHODS[method], scene="tanktreading", fft=True, stag_grid_x=cells, shear_rate=rate,
-        axes=ellipse_axes(reduced), markers=2 * round(PERIMETER / (2 / cells)), ts_dt=dt,
+        axes=ellipse_axes(reduced, PERIMETER), markers=even_markers(AXES, cells), ts_dt=dt,
         ts_max_time=strain / rate)
 
 
@@ -105,18 +91,9 @@ def _until_steady(campaign, case, progress, time_limit, strain, last_strain):
     return outcome
 
 
-def _window(outcome, rate, name, back=0):
-    """Mean of a column over a window of strain, `back` windows before the end."""
-    strain = outcome.rows["time"] * rate
-    end = strain[-1] - back * WINDOW
-    values = outcome.rows[name][(strain > end - WINDOW) & (strain <= end)]
-    values = values[np.isfinite(values)]
-    return float(values.mean()) if len(values) else None
-
-
 def change(outcome, rate):
     """Change of the mean inclination / pi over the last windows."""
-    last, before = (_window(outcome, rate, "inclination", back) for back in (0, 1))
+    last, before = (outcome.mean("inclination", WINDOW / rate, back) for back in (0, 1))
     return abs(last - before) / np.pi
 
 
@@ -127,7 +104,7 @@ def is_steady(outcome, rate):
 
 def _record(case, outcome):
     method, rate, reduced, cells = case
-    rx, ry = ellipse_axes(reduced)
+    rx, ry = ellipse_axes(reduced, PERIMETER)
     record = dict(method=method, shear_rate=rate, reduced_area=reduced, cells=cells, rx=rx, ry=ry,
                   status=outcome.status, reason=outcome.reason,
                   area_error=outcome.largest("area_error"),
@@ -138,9 +115,10 @@ def _record(case, outcome):
     offset = float(np.hypot(outcome.rows["centroid_x"], outcome.rows["centroid_y"]).max())
     record.update(strain=outcome.last("time") * rate, change=change(outcome, rate),
                   steady=int(is_steady(outcome, rate)), centroid_offset=offset,
-                  inclination_over_pi=_window(outcome, rate, "inclination") / np.pi)
+                  inclination_over_pi=outcome.mean("inclination", WINDOW / rate) / np.pi)
     if offset <= OFF_CENTRE:
-        record["treading_frequency"] = _window(outcome, rate, "treading_frequency")
+        record["treading_frequency"] = outcome.mean(
+            "treading_frequency", WINDOW / rate)
     return record
 
 

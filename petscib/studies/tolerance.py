@@ -18,6 +18,7 @@ from ..output import tables
 from ..schemes.registry import SCHEMES
 from . import report
 from .campaign import Campaign
+from .records import power, select
 
 AXES = (0.2, 0.5)
 SIZE = ellipse_perimeter(AXES) / (2 * np.pi)
@@ -66,8 +67,8 @@ def study(campaign, cells, tolerances, fixed, reference, cases=CASES):
         for scheme in tolerances:
             for rtol in tolerances[scheme]:
                 declared[case, scheme, rtol, None] = declare(cases[case], scheme, cells, rtol)
-            for power in fixed[scheme]:
-                dt = 2.0 ** (1 - power) / cells
+            for halvings in fixed[scheme]:
+                dt = 2.0 ** (1 - halvings) / cells
                 declared[case, scheme, None, dt] = declare(cases[case], scheme, cells, dt=dt)
     references = {case: Path(outcome)
                   for case, outcome in campaign.run_all(references).items()}
@@ -77,13 +78,12 @@ def study(campaign, cells, tolerances, fixed, reference, cases=CASES):
     for one in records:
         if one["rtol"] and "error" in one:
             one["fixed_seconds"] = fixed_seconds(
-                [other for other in records if other["dt"]
-                 and (other["case"], other["scheme"]) == (one["case"], one["scheme"])],
+                [other for other in select(records, case=one["case"], scheme=one["scheme"])
+                 if other["dt"]],
                 one["error"])
             if one["fixed_seconds"]:
                 one["saving"] = one["fixed_seconds"] / one["seconds"]
-    campaign.write(COLUMNS, [[one.get(name) for name in COLUMNS] for one in records],
-                   _markdown(records, cells))
+    campaign.write_records(COLUMNS, records, _markdown(records, cells))
     _draw(campaign.path("tolerance.png"), records, list(cases))
     return records
 
@@ -147,8 +147,7 @@ def fixed_seconds(records, error):
 
 def slope(records):
     """Power of the tolerance with which the error falls; None for fewer than two."""
-    known = [(np.log(one["rtol"]), np.log(one["error"])) for one in records if "error" in one]
-    return float(np.polyfit(*zip(*known), 1)[0]) if len(known) > 1 else None
+    return power([one["rtol"] for one in records], [one.get("error") for one in records])
 
 
 def _markdown(records, cells):
@@ -164,10 +163,10 @@ def _markdown(records, cells):
         rows)
     rows = []
     for case, scheme in dict.fromkeys((one["case"], one["scheme"]) for one in records):
-        among = [one for one in records if (one["case"], one["scheme"]) == (case, scheme)]
-        power = slope([one for one in among if one["rtol"]])
+        among = select(records, case=case, scheme=scheme)
+        observed = slope([one for one in among if one["rtol"]])
         order = SCHEMES[scheme].order
-        rows.append([case, scheme, report.number(power, 2), f"{order}/{order + 1}"])
+        rows.append([case, scheme, report.number(observed, 2), f"{order}/{order + 1}"])
     return text + (
         "\nPower of the tolerance with which the error falls; p/(p + 1) for a scheme of order p "
         "whose steps all make an error of the tolerance:\n\n"

@@ -20,12 +20,13 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ..membranes.geometry import perimeter
-from ..membranes.shapes import ellipse_perimeter
 from ..output.style import BLUE, GREEN, VERMILLION
 from . import compare, report
 from .campaign import Campaign
+from .ellipses import ellipse_axes, even_markers
+from .records import power, select
 from .reference import LEAST_ENERGY, RELAXATION, TREADING, TURNING
-from .tanktreading import ellipse_axes
+from .tanktreading import PERIMETER
 
 BEST, YANG, PAPER = "bspline43, corrected", "yang, corrected", "yang, uncorrected"
 METHODS = {
@@ -104,21 +105,15 @@ def study(campaign, cells, axes, times, reduced_areas, energy_cells, time_limit)
                 shapes[method, count, time] = before.final()["X"]
     for count in energy_cells:
         for reduced in reduced_areas:
-            options = declare_relaxing(ellipse_axes(reduced), BEST, count, EQUILIBRIUM)
+            options = declare_relaxing(ellipse_axes(reduced, PERIMETER), BEST, count, EQUILIBRIUM)
             outcome = run(f"least energy {reduced:g} {count}^2", options, BEST)
             records += _least(reduced, count, outcome)
     for one in records:
         one["error"] = one["value"] - one["truth"]
         one["relative_error"] = one["error"] / one["truth"]
-    rows = [[one.get(name) for name in COLUMNS] for one in records]
-    campaign.write(COLUMNS, rows, _markdown(records, shapes, drifts))
+    campaign.write_records(COLUMNS, records, _markdown(records, shapes, drifts))
     _draw(campaign.path("truth.png"), records)
     return records
-
-
-def even_markers(axes, cells):
-    """An even number of them about h/2 apart: the vesicle is its own half turn, and stays so."""
-    return 2 * round(ellipse_perimeter(axes) / (2 / cells))
 
 
 def declare_treading(short, method, cells):
@@ -209,8 +204,7 @@ def fitted_order(errors):
     errors : dict of int to float
         By cells.
     """
-    known = [(-np.log(count), np.log(abs(error))) for count, error in errors.items() if error]
-    return float(np.polyfit(*zip(*known), 1)[0]) if len(known) > 1 else None
+    return power([1 / count for count in errors], errors.values())
 
 
 def triples(grids):
@@ -238,10 +232,6 @@ def _observed_shape(shapes, method, time):
         compare.marker_error(coarse, middle) / compare.marker_error(middle, fine))), 2)
 
 
-def _select(records, **wanted):
-    return [one for one in records if all(one[name] == value for name, value in wanted.items())]
-
-
 def _markdown(records, shapes, drifts):
     methods = list(dict.fromkeys(one["method"] for one in records))
     grids = sorted({one["cells"] for one in records})
@@ -267,13 +257,13 @@ def _markdown(records, shapes, drifts):
         table(title, [
             row(f"axes ({short:g}, {LONG_AXIS:g})", truth[quantity], method, among, name)
             for short, truth in TREADING.items() for method in methods
-            if (among := _select(records, problem="treading", case=short, method=method,
+            if (among := select(records, problem="treading", case=short, method=method,
                                  quantity=quantity))])
     rows = []
     for short in TURNING:
         for method in methods:
             found = {}
-            for one in _select(records, problem="turning", case=short, method=method):
+            for one in select(records, problem="turning", case=short, method=method):
                 found[one["cells"]] = max(found.get(one["cells"], 0.0), abs(one["error"]))
             if found:
                 rows.append([f"axes ({short:g}, {LONG_AXIS:g})", "-", method,
@@ -284,7 +274,7 @@ def _markdown(records, shapes, drifts):
         table(f"Relaxation: relative error of the {quantity.replace('_', ' ')}", [
             row(f"t = {time:g}", truth[quantity], method, among, "relative_error")
             for time, truth in RELAXATION.items() for method in methods
-            if (among := _select(records, problem="relaxation", method=method, time=time,
+            if (among := select(records, problem="relaxation", method=method, time=time,
                                  quantity=quantity))])
     rows = [[method, f"{time:g}", _observed_shape(shapes, method, time)]
             for method, time in dict.fromkeys((name, at) for name, _, at in shapes)
@@ -295,7 +285,7 @@ def _markdown(records, shapes, drifts):
     table("Least bending energy over that of the circle of the same length: relative error", [
         row(f"reduced area {reduced:g}", truth, BEST, among, "relative_error")
         for reduced, truth in LEAST_ENERGY.items()
-        if (among := _select(records, problem="least energy", case=reduced))])
+        if (among := select(records, problem="least energy", case=reduced))])
     parts.append("**Largest errors of area and perimeter, at any step of any of these runs**\n\n"
                  + report.markdown_table(["method", "area", "perimeter"], [
                      [method, *(report.number(value, 2) for value in np.max(found, axis=0))]
@@ -319,7 +309,7 @@ def _draw_steady(axis, records, quantity, title):
     axis.plot(areas, [one[quantity] for one in TREADING.values()], "k_", markersize=22,
               markeredgewidth=1.5, label="boundary integrals")
     for method, style in STYLES.items():
-        found = _select(records, problem="treading", quantity=quantity, method=method)
+        found = select(records, problem="treading", quantity=quantity, method=method)
         coarsest = min((one["cells"] for one in found), default=None)
         for one in found:
             fine = one["cells"] != coarsest
@@ -342,21 +332,20 @@ def _once(axis):
 def _draw_errors(axis, records):
     for method, style in STYLES.items():
         for short, line in zip(TREADING, (":", "-", "--")):
-            found = _select(records, problem="treading", quantity="frequency", method=method,
+            found = select(records, problem="treading", quantity="frequency", method=method,
                             case=short)
             axis.loglog([one["cells"] for one in found],
                         [abs(one["relative_error"]) for one in found], linestyle=line, **style)
-    cells = sorted({one["cells"] for one in _select(records, problem="treading")})
+    cells = sorted({one["cells"] for one in select(records, problem="treading")})
     if cells:
         lines = np.array(cells, float)
-        for power in (1, 2):
-            axis.loglog(lines, 0.05 * (lines[0] / lines) ** power, color="k", linewidth=0.8,
-                        linestyle="-" if power == 1 else "--")
-            axis.annotate(f" order {power}", (lines[-1], 0.05 * (lines[0] / lines[-1]) ** power),
+        for p in (1, 2):
+            axis.loglog(lines, 0.05 * (lines[0] / lines) ** p, color="k", linewidth=0.8,
+                        linestyle="-" if p == 1 else "--")
+            axis.annotate(f" order {p}", (lines[-1], 0.05 * (lines[0] / lines[-1]) ** p),
                           fontsize=9, va="center")
         axis.set_xlim(cells[0] / 1.1, cells[-1] * 1.4)
-        axis.set_xticks(cells, [str(count) for count in cells])
-        axis.minorticks_off()
+        report.cells_axis(axis, cells)
     axis.set(xlabel="cells across (b = 0.1 dotted, 0.25 solid, 0.4 dashed)",
              ylabel="relative error of $f$")
 
@@ -370,7 +359,7 @@ def _draw_turning(axis, records):
     for short, truth in TURNING.items():
         axis.plot(list(truth), list(truth.values()), "k_", markersize=16, markeredgewidth=1.5)
         for method, style in STYLES.items():
-            found = _finest(_select(records, problem="turning", case=short, method=method))
+            found = _finest(select(records, problem="turning", case=short, method=method))
             axis.plot([one["time"] for one in found], [one["value"] for one in found],
                       linestyle="", **style)
     axis.set(xlabel="time (finest grids)", ylabel=r"inclination $\theta/\pi$", xscale="log")
@@ -380,7 +369,7 @@ def _draw_relaxing(axis, records):
     axis.semilogx(list(RELAXATION), [one["energy"] for one in RELAXATION.values()], "k_",
                   markersize=22, markeredgewidth=1.5)
     for method, style in STYLES.items():
-        found = _finest(_select(records, problem="relaxation", quantity="energy", method=method))
+        found = _finest(select(records, problem="relaxation", quantity="energy", method=method))
         axis.semilogx([one["time"] for one in found], [one["value"] for one in found],
                       linestyle="", **style)
     axis.set(xlabel="time (finest grids)", ylabel="bending energy, relaxing")
@@ -388,7 +377,7 @@ def _draw_relaxing(axis, records):
 
 def _draw_least(axis, records):
     axis.plot(list(LEAST_ENERGY), list(LEAST_ENERGY.values()), color="k", linewidth=0.8)
-    found = _finest(_select(records, problem="least energy"))
+    found = _finest(select(records, problem="least energy"))
     axis.plot([one["case"] for one in found], [one["value"] for one in found], linestyle="",
               **STYLES[BEST])
     axis.set(xlabel="reduced area (finest grid)", ylabel="least bending energy / circle's")

@@ -21,6 +21,7 @@ import numpy as np
 from ..schemes.registry import SCHEMES
 from . import compare, methods, report
 from .campaign import Campaign
+from .records import select
 from .reference import TREADING
 
 LONG_AXIS = 0.5
@@ -129,12 +130,11 @@ def study(campaign, cells, finest, implicit_steps, explicit_steps, tolerances, t
     records = [_record(label, outcome, references.get(label[:2]))
                for label, outcome in outcomes.items()]
     for case, sigma0 in dict.fromkeys(label[:2] for label in declared):
-        among = _select(records, case=case, sigma0=sigma0)
+        among = select(records, case=case, sigma0=sigma0)
         for name in CASES[case].quantities:
             for one in front(among, name):
                 one[f"{name}_on_front"] = 1
-    rows = [[one.get(column) for column in COLUMNS] for one in records]
-    campaign.write(COLUMNS, rows, _markdown(records, left_out, finest))
+    campaign.write_records(COLUMNS, records, _markdown(records, left_out, finest))
     _draw(campaign.path("workprecision.png"), records, stiffnesses)
     return records
 
@@ -159,22 +159,12 @@ def _record(label, outcome, reference):
         record.update(X=found["X"] / LONG_AXIS, u=max(found["u"], found["v"]) / speed)
     else:
         truth = TREADING[TREADING_AXIS]
-        angle, frequency = steady(outcome, "inclination"), steady(outcome, "treading_frequency")
+        angle, frequency = (outcome.mean(name, WINDOW)
+                            for name in ("inclination", "treading_frequency"))
         record["inclination"] = abs(angle / np.pi / truth["inclination"] - 1)
         if frequency is not None:  # a membrane that does not turn has none
             record["frequency"] = abs(frequency / truth["frequency"] - 1)
     return record
-
-
-def steady(outcome, name):
-    """Mean of a column over the last of the strain, where it applies; None where it never does."""
-    time, values = outcome.rows["time"], outcome.rows[name]
-    values = values[(time > time[-1] - WINDOW) & np.isfinite(values)]
-    return float(values.mean()) if len(values) else None
-
-
-def _select(records, **wanted):
-    return [one for one in records if all(one[name] == value for name, value in wanted.items())]
 
 
 def front(records, name):
@@ -202,7 +192,7 @@ def _markdown(records, left_out, finest):
     header = ["case", "sigma0", "error of", *(report.number(target) for target in TARGETS)]
     rows = []
     for case, sigma0 in dict.fromkeys((one["case"], one["sigma0"]) for one in records):
-        among = _select(records, case=case, sigma0=sigma0)
+        among = select(records, case=case, sigma0=sigma0)
         for name in CASES[case].quantities:
             found = [cheapest(among, name, target) for target in TARGETS]
             rows.append([case, report.number(sigma0, 1), name, *map(_setting, found)])
@@ -210,7 +200,7 @@ def _markdown(records, left_out, finest):
     rows = []
     for case, sigma0 in dict.fromkeys((one["case"], one["sigma0"]) for one in records):
         for method in OPTIONS:
-            among = _select(records, case=case, sigma0=sigma0, method=method)
+            among = select(records, case=case, sigma0=sigma0, method=method)
             rows.append([case, report.number(sigma0, 1), method, *(
                 report.number(min((one[name] for one in among if name in one), default=None), 2)
                 for name in TITLES)])
@@ -253,7 +243,7 @@ def _draw(path, records, stiffnesses):
     with report.picture(path, 3.4 * columns, 3.2 * len(panels), rows=len(panels),
                         columns=columns) as (figure, axes):
         for row, (case, sigma0) in zip(axes, panels):
-            among = _select(records, case=case, sigma0=sigma0)
+            among = select(records, case=case, sigma0=sigma0)
             for axis, name in zip(row, drawn[case]):
                 _draw_panel(axis, among, name)
                 axis.set_title(f"{case}: error of {TITLES[name]}, $\\sigma_0$ = "
