@@ -331,7 +331,8 @@ class Records:
             text = file.read()
         whole = text[: text.rfind("\n") + 1]
         self.offset += len(whole)  # JSON is written in ASCII
-        self.found.update((record["test"], record) for record in map(json.loads, whole.splitlines()))
+        for record in map(json.loads, whole.splitlines()):
+            self.found[record["test"]] = record
 
 
 # ---------------------------------------------------------------- inside the job

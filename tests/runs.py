@@ -14,22 +14,24 @@ SMALL = {"stag_grid_x": "24", "ts_dt": "0.08333333333333333", "axes": "0.25,0.4"
          "monitor": "none", "plot": "no"}
 
 
-def prepare(folder, **words):
+def prepare(folder, communicator=None, **words):
     """A simulation, not yet run, with the options given as on a command line.  Collective."""
     given = {**words, "output": str(folder)}
     # The solvers of an earlier run have left their defaults in PETSc's database.
     for name in solver_options.given():
         PETSc.Options().delValue(name)
+    for name in filter(options.is_petsc, words):
+        PETSc.Options()[name] = words[name]
     if "restart" not in words:
         given = {**SMALL, **given}
-    simulation = Driver(options.read(restart.merge(given, comm)))
+    simulation = Driver(options.read(restart.merge(given, comm)), communicator)
     atexit.register(simulation.destroy)  # PETSc must not find it at its own end
     return simulation
 
 
-def run(folder, **words):
+def run(folder, communicator=None, **words):
     """Run to the end and return the summary.  Collective."""
-    simulation = prepare(folder, **words)
+    simulation = prepare(folder, communicator, **words)
     try:
         return simulation.run()
     finally:

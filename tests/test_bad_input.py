@@ -100,6 +100,12 @@ CONTRADICTIONS = [
     (dict(vesicles="0"), "there is no vesicle"),
     (dict(sigma0="0", rest_length="1"), "no meaning without tension"),
     (dict(marker_file=__file__), "-marker_file gives the shape already"),
+    (dict(scheme="mbe", poisson_pc_type="python",
+          poisson_pc_python_type="petscib.solvers.nothing.Poisson"),
+     "-poisson_pc_python_type petscib.solvers.nothing.Poisson: No module named"),
+    (dict(scheme="mbe", poisson_pc_type="python",
+          poisson_pc_python_type="petscib.solvers.poisson.Nobody"),
+     "-poisson_pc_python_type petscib.solvers.poisson.Nobody: petscib.solvers.poisson has no"),
 ]
 
 

@@ -56,9 +56,9 @@ def one_line(result, status):
     return lines[0]
 
 
-def assert_goes_on(folder, steps=8):
+def assert_goes_on(folder, steps=8, **solver):
     """The last complete checkpoint restarts, here, and the tables have every row once."""
-    run(folder, restart="latest", ts_max_steps=str(steps))
+    run(folder, restart="latest", ts_max_steps=str(steps), **solver)
     assert list(rows(folder)["step"]) == list(range(steps + 1))
     assert not list(folder.glob("*.part"))
 
@@ -226,7 +226,7 @@ def test_a_full_disk(petscib, tmp_path):
 
 # --- the physics and the solvers
 
-def test_a_solver_that_diverges(petscib, mpirun, tmp_path):
+def test_a_solver_that_diverges(petscib, tmp_path):
     wrong = ["-momentum_ksp_max_it", 1, "-momentum_ksp_rtol", 1e-14]
     result = petscib(*OPTIONS, "-output", "run", "-ts_max_steps", 4, *wrong)
     line = one_line(result, 3)
@@ -234,9 +234,7 @@ def test_a_solver_that_diverges(petscib, mpirun, tmp_path):
                  "-momentum_ksp_max_it", "a smaller -ts_dt",
                  "the state before it is in run/checkpoint-00000000.h5"):
         assert part in line
-    mpirun(1, "-m", "petscib", "-restart", "latest", "-output", "run", "-ts_max_steps", 3,
-           "-momentum_ksp_max_it", 100)
-    assert list(rows(tmp_path / "run")["step"]) == [0, 1, 2, 3]
+    assert_goes_on(tmp_path / "run", steps=3, momentum_ksp_max_it="100")
     result = petscib(*OPTIONS, "-output", "other", "-ts_max_steps", 4, "-ts_adapt", *wrong)
     *attempts, line = result.stderr.splitlines()
     assert result.returncode == 3 and len(attempts) == 9
@@ -382,19 +380,16 @@ class Failing(Slow):
 """
 
 
-@pytest.mark.parametrize("name, status, parts", [
-    ("Wrong", 3, ["AttributeError: 'Wrong' object has no attribute 'nothing'", "checkpoint-"]),
-    ("Failing", 3, ["the inner solve failed; try a smaller", "checkpoint-"]),
-    ("Nobody", 2, ["-poisson_pc_python_type preconditioners.Nobody: preconditioners has no"]),
-])
-def test_preconditioners_of_the_user(petscib, tmp_path, name, status, parts):
+@pytest.mark.parametrize("name, part", [
+    ("Wrong", "AttributeError: 'Wrong' object has no attribute 'nothing'"),
+    ("Failing", "the inner solve failed; try a smaller")])
+def test_preconditioners_of_the_user(petscib, tmp_path, name, part):
     (tmp_path / "preconditioners.py").write_text(PRECONDITIONERS)
     result = petscib(*OPTIONS, "-output", "run", "-ts_max_steps", 2, "-poisson_pc_type", "python",
                      "-poisson_pc_python_type", f"preconditioners.{name}")
-    line = one_line(result, status)
-    for part in parts:
-        assert part in line
-    assert (tmp_path / "run" / "checkpoint-00000000.h5").exists() == (status == 3)
+    line = one_line(result, 3)
+    assert part in line and "checkpoint-" in line
+    assert (tmp_path / "run" / "checkpoint-00000000.h5").exists()
 
 
 def test_a_preconditioner_that_cannot_be_made_is_no_bad_input(petscib, tmp_path):
