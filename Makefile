@@ -8,7 +8,7 @@ setup:
 
 test:
 	@needs="pytest hypothesis"; wants="vtk xdist"; $(SETUP); \
-	"$$python" -c "import xdist" 2>/dev/null && workers="-n auto --dist loadfile"; \
+	"$$python" -c "import xdist" 2>/dev/null && workers="-n auto"; \
 	"$$python" -m pytest $$workers $(ARGS)
 
 run:

@@ -4,8 +4,8 @@ Two ways, both from one ordinary ``python -m pytest``:
 
 - ``@pytest.mark.parallel([1, 2, 3])`` on a test (or ``pytestmark = pytest.mark.parallel(2)`` for a
   module) runs the test's body on that many ranks. It passes when it passes on every rank. All such
-  tests of a module that ask for the same number of ranks share one MPI job, since starting one
-  takes a second; a test that fails ends its job, and the rest continue in a new one. With 1 rank
+  tests that ask for the same number of ranks share one MPI job, since starting one takes seconds,
+  and come last; a test that fails ends its job, and the rest continue in a new one. With 1 rank
   the test runs in place. `tmp_path` is one folder for all ranks, `ranks` is their number.
 - The fixture ``mpirun(ranks, *args)`` runs ``python *args`` on that many ranks, for example
   ``mpirun(2, "-m", "petscib", "-ts_max_steps", "3")``.
@@ -13,6 +13,7 @@ Two ways, both from one ordinary ``python -m pytest``:
 Nothing waits for ever: a job in which no rank finishes a test for `timeout` seconds is stopped, and
 the report names the ranks that had not finished.
 """
+import functools
 import json
 import os
 import pathlib
@@ -54,9 +55,12 @@ def mpi_environment(**extra):
     return environment
 
 
+launcher = functools.cache(launch.launcher)  # looking for it takes a tenth of a second
+
+
 def start(ranks, args, **keywords):
     """Start ``python *args`` on `ranks` ranks; the process leads a session of its own."""
-    command = [*launch.launcher(), "-n", str(ranks), sys.executable, *map(str, args)]
+    command = [*launcher(), "-n", str(ranks), sys.executable, *map(str, args)]
     return subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True, **keywords)
 
 
@@ -145,8 +149,26 @@ def pytest_generate_tests(metafunc):
                              ids=lambda n: f"ranks={n}")
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """All tests of one MPI job go to one worker, and so do all cases of a test, for what it caches.
+
+    Not whole modules: the longest of them would end long after the rest.
+    """
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Scheduling(LoadScopeScheduling):
+        def _split_scope(self, nodeid):
+            return "jobs" if re.search(r"\branks=[2-9]", nodeid) else nodeid.split("[")[0]
+
+    return Scheduling(config, log)
+
+
 @pytest.hookimpl(trylast=True)  # after -k and -m have had their say
 def pytest_collection_modifyitems(config, items):
+    if JOB:
+        tests = {item.nodeid: item for item in items}
+        items[:] = [tests[name] for name in json.loads((pathlib.Path(JOB) / "tests").read_text())]
     jobs = {}
     for index, item in enumerate(items):
         ranks = item.callspec.params["ranks"] if item.get_closest_marker("parallel") else 1
@@ -154,9 +176,14 @@ def pytest_collection_modifyitems(config, items):
             if ranks not in (1, WORLD_SIZE):
                 item.add_marker(pytest.mark.skip(reason=f"needs {ranks} ranks"))
         elif ranks > 1:
-            job = jobs.setdefault((item.path, ranks), Job(config, ranks))
-            items[index] = RemoteTest.from_parent(item.parent, name=item.name, test=item, job=job)
-            job.tests.append(items[index])
+            if ranks not in jobs:
+                jobs[ranks] = Job(config, ranks)
+                config.add_cleanup(jobs[ranks].end)
+            items[index] = RemoteTest.from_parent(
+                item.parent, name=item.name, test=item, job=jobs[ranks])
+            jobs[ranks].tests.append(items[index])
+    # One job at a time, and nothing of this process beside it.
+    items.sort(key=lambda item: item.job.ranks if isinstance(item, RemoteTest) else 0)
 
 
 class RemoteTest(pytest.Item):
@@ -192,64 +219,84 @@ class FailedOnRanks(Exception):
 
 
 class Job:
-    """The tests of one module for one number of ranks, and their outcomes once run."""
+    """The tests for one number of ranks, the MPI job that runs them, and the outcomes so far."""
 
     def __init__(self, config, ranks):
         self.config, self.ranks = config, ranks
         self.tests, self.outcomes = [], {}
+        self.process = None
 
     def outcome_of(self, test):
-        """Return ('passed' | 'failed' | 'skipped', text), running MPI jobs until it is known."""
-        if test.nodeid not in self.outcomes:
-            self.run([other for other in self.tests if other.nodeid not in self.outcomes])
+        """Return ('passed' | 'failed' | 'skipped', text), waiting until it is known."""
+        while test.nodeid not in self.outcomes:
+            if self.process is None:
+                self.begin([one for one in self.tests if one.nodeid not in self.outcomes])
+            self.follow(test)
         return self.outcomes[test.nodeid]
 
-    def run(self, tests):
-        """Run tests in one MPI job, up to and including the first that fails."""
-        with tempfile.TemporaryDirectory(prefix="petscib-") as folder:
-            folder = pathlib.Path(folder)
-            args = ["-m", "pytest", "-q", "--no-header", "--color=no", "--runxfail",
-                    "-p", "no:cacheprovider",
-                    # A rank that hangs shows where, before the job is stopped.
-                    "-o", f"faulthandler_timeout={0.8 * min(test.timeout for test in tests)}",
-                    "-c", self.config.inipath or os.devnull, "--rootdir", self.config.rootpath,
-                    *(test.nodeid for test in tests)]
-            environment = mpi_environment(PETSCIB_TEST_JOB=str(folder),
-                                          PYTEST_DEBUG_TEMPROOT=str(folder),
-                                          OMPI_MCA_orte_execute_quiet="0")  # name dead ranks
-            with (folder / "output").open("w") as output:
-                process = start(self.ranks, args, cwd=self.config.rootpath, env=environment,
-                                stdout=output, stderr=subprocess.STDOUT)
-                try:
-                    end = self.wait(process, folder, {test.nodeid: test.timeout for test in tests})
-                finally:
-                    if process.poll() is None:
-                        stop(process)
-            records = [read_records(folder, rank) for rank in range(self.ranks)]
-            output = (folder / "output").read_text(errors="replace")
-        for test in tests:
-            outcome = self.judge([record.get(test.nodeid) for record in records], end, output)
-            self.outcomes[test.nodeid] = outcome
-            if outcome[0] == "failed":
+    def begin(self, tests):
+        """Start an MPI job that runs tests, up to and including the first that fails."""
+        self.running = {test.nodeid: test.timeout for test in tests}
+        self.folder = tempfile.TemporaryDirectory(prefix="petscib-")
+        folder = pathlib.Path(self.folder.name)
+        (folder / "tests").write_text(json.dumps(list(self.running)))
+        self.records = [Records(folder, rank) for rank in range(self.ranks)]
+        args = ["-m", "pytest", "-q", "--no-header", "--color=no", "--runxfail",
+                "-p", "no:cacheprovider",
+                # A rank that hangs shows where, before the job is stopped.
+                "-o", f"faulthandler_timeout={0.8 * min(self.running.values())}",
+                "-c", self.config.inipath or os.devnull, "--rootdir", self.config.rootpath,
+                *dict.fromkeys(test.path for test in tests)]
+        environment = mpi_environment(PETSCIB_TEST_JOB=str(folder),
+                                      PYTEST_DEBUG_TEMPROOT=str(folder),
+                                      OMPI_MCA_orte_execute_quiet="0")  # name dead ranks
+        with (folder / "output").open("w") as output:
+            self.process = start(self.ranks, args, cwd=self.config.rootpath, env=environment,
+                                 stdout=output, stderr=subprocess.STDOUT)
+
+    def follow(self, test):
+        """Wait until a test has passed on all ranks or the job is over; note all outcomes."""
+        end, finished, since = None, None, time.monotonic()
+        while end is None:
+            over = self.process.poll() is not None  # before reading: then nothing more is written
+            for records in self.records:
+                records.read()
+            done = set.intersection(*(set(records.found) for records in self.records))
+            failed = any(record["outcome"] == "failed" for records in self.records
+                         for record in records.found.values())
+            if test.nodeid in done and not failed:
                 break
+            count = sum(len(records.found) for records in self.records)
+            if count != finished:
+                finished, since = count, time.monotonic()
+            waiting = [timeout for name, timeout in self.running.items() if name not in done]
+            timeout = waiting[0] if waiting else TIMEOUT
+            if over:
+                end = f"ended with exit status {self.process.returncode}"
+            elif time.monotonic() - since > timeout:
+                end = f"stopped after {timeout:g} s without progress"
+            else:
+                time.sleep(0.02)
+        if end is not None and self.process.poll() is None:
+            stop(self.process)
+        output = (pathlib.Path(self.folder.name) / "output").read_text(errors="replace")
+        for name in [name for name in self.running if name not in self.outcomes]:
+            reports = [records.found.get(name) for records in self.records]
+            if end is None and not all(reports):
+                break  # still to come
+            self.outcomes[name] = self.judge(reports, end, output)
+            if self.outcomes[name][0] == "failed":
+                break
+        if end is not None:
+            self.end()
 
-    def wait(self, process, folder, timeouts):
-        """Wait for the job's end, or until no rank has finished a test for too long.
-
-        Returns what ended it, in words.
-        """
-        finished, since = None, time.monotonic()
-        while process.poll() is None:
-            time.sleep(0.05)
-            records = [read_records(folder, rank) for rank in range(self.ranks)]
-            done_everywhere = set.intersection(*map(set, records))
-            waiting = [name for name in timeouts if name not in done_everywhere]
-            if finished != sum(map(len, records)):
-                finished, since = sum(map(len, records)), time.monotonic()
-            timeout = timeouts[waiting[0]] if waiting else TIMEOUT
-            if time.monotonic() - since > timeout:
-                return f"stopped after {timeout:g} s without progress"
-        return f"ended with exit status {process.returncode}"
+    def end(self):
+        """Stop the MPI job, if there is one, and remove its folder."""
+        if self.process is not None:
+            if self.process.poll() is None:
+                stop(self.process)
+            self.process = None
+            self.folder.cleanup()
 
     @staticmethod
     def judge(reports, end, output):
@@ -268,11 +315,24 @@ class Job:
         return ("skipped", skipped[0]) if skipped else ("passed", "")
 
 
-def read_records(folder, rank):
-    """Reports of one rank, by test: the finished ones, a torn last line left out."""
-    path = folder / f"rank-{rank}"
-    lines = path.read_text().split("\n")[:-1] if path.exists() else []
-    return {record["test"]: record for record in map(json.loads, lines)}
+class Records:
+    """Reports of one rank, by test, as it writes them down."""
+
+    def __init__(self, folder, rank):
+        self.path, self.offset = pathlib.Path(folder) / f"rank-{rank}", 0
+        self.found = {}
+
+    def read(self):
+        """Read on, but not a line that is not whole yet."""
+        if not self.path.exists():
+            return
+        with self.path.open() as file:
+            file.seek(self.offset)
+            text = file.read()
+        whole = text[: text.rfind("\n") + 1]
+        self.offset += len(whole)  # JSON is written in ASCII
+        for record in map(json.loads, whole.splitlines()):
+            self.found[record["test"]] = record
 
 
 # ---------------------------------------------------------------- inside the job
@@ -317,9 +377,11 @@ def record_and_wait(test, reports):
         comm.Barrier()
         return
     deadline = time.monotonic() + GRACE
-    while time.monotonic() < deadline and not all(
-            test in read_records(pathlib.Path(JOB), rank) for rank in range(comm.size)):
+    others = [Records(JOB, rank) for rank in range(comm.size)]
+    while time.monotonic() < deadline and not all(test in records.found for records in others):
         time.sleep(0.05)
+        for records in others:
+            records.read()
     comm.Abort(1)
 
 

@@ -14,21 +14,21 @@ SMALL = {"stag_grid_x": "24", "ts_dt": "0.08333333333333333", "axes": "0.25,0.4"
          "monitor": "none", "plot": "no"}
 
 
-def prepare(folder, **words):
+def prepare(folder, communicator=None, **words):
     """A simulation, not yet run, with the options given as on a command line.  Collective."""
     given = {**words, "output": str(folder)}
     if "restart" not in words:
         given = {**SMALL, **given}
     database = restart.merge(given, comm)
     words = {name: text for name, text in database.items() if petsc_options.is_petsc(name)}
-    simulation = Driver(options.read(database), entries=Entries(words))
+    simulation = Driver(options.read(database), communicator, entries=Entries(words))
     atexit.register(simulation.destroy)  # PETSc must not find it at its own end
     return simulation
 
 
-def run(folder, **words):
+def run(folder, communicator=None, **words):
     """Run to the end and return the summary.  Collective."""
-    simulation = prepare(folder, **words)
+    simulation = prepare(folder, communicator, **words)
     try:
         return simulation.run()
     finally:

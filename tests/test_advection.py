@@ -137,7 +137,7 @@ BOXES = {
 }
 
 
-@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parallel([1, 3])
 @pytest.mark.parametrize("box", BOXES)
 def test_the_operator_is_the_formula_and_its_power_that_of_the_boundary(box):
     problem, state = dense.problem(stag_grid_x=11, stag_grid_y=9, domain="-1,1.2,0,1",
@@ -365,7 +365,7 @@ def test_the_scene_of_decaying_vortices(tmp_path):
 # ---------------------------------------------------------------- runs
 
 
-@pytest.mark.parallel([2, 3])
+@pytest.mark.parallel(3)
 @every_treatment
 @pytest.mark.parametrize("fft", ["yes", "no"])
 @pytest.mark.parametrize("scheme", ["mbe", "cn", "gcn"])

@@ -310,7 +310,7 @@ def test_a_load_without_forces_of_the_membrane(tmp_path, scheme):
     assert (table["ledger_load_power"][1:] > 0).all()
 
 
-@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parallel([1, 2])
 def test_restart_and_ranks_with_contact(tmp_path):
     words = {**CLOSE, "vesicle_0_tether": "1", "load": "0,1"}
     run(tmp_path / "whole", **words, ts_max_steps="6")

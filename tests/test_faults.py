@@ -18,7 +18,7 @@ from runs import SMALL, arrays, assert_same_run, prepare, rows, run
 from petscib import guard, options, schemes
 from petscib.driver import Driver
 from petscib.errors import Crash, InputError, SolveError, WallError, ours
-from petscib.output import checkpoint, lock
+from petscib.output import checkpoint, lock, plots
 from petscib.solvers import krylov
 
 OPTIONS = ["-scheme", "mbe"] + [
@@ -56,12 +56,11 @@ def one_line(result, status):
     return lines[0]
 
 
-def assert_goes_on(mpirun, tmp_path, folder, *arguments, steps=8):
-    """The last complete checkpoint restarts and the tables have every row once."""
-    mpirun(2, "-m", "petscib", "-restart", "latest", "-output", folder, "-ts_max_steps", steps,
-           *arguments)
-    assert list(rows(tmp_path / folder)["step"]) == list(range(steps + 1))
-    assert not list((tmp_path / folder).glob("*.part"))
+def assert_goes_on(folder, steps=8, **solver):
+    """The last complete checkpoint restarts, here, and the tables have every row once."""
+    run(folder, restart="latest", ts_max_steps=str(steps), **solver)
+    assert list(rows(folder)["step"]) == list(range(steps + 1))
+    assert not list(folder.glob("*.part"))
 
 
 def children(parent):
@@ -101,7 +100,7 @@ def test_kill_9_at_any_moment(mpirun, tmp_path):
 
 
 @pytest.mark.parametrize("where", ["a dataset", "the renaming"])
-def test_kill_9_inside_a_checkpoint(petscib, mpirun, tmp_path, where):
+def test_kill_9_inside_a_checkpoint(petscib, tmp_path, where):
     broken = {
         "a dataset": "target, name = h5py.Dataset, '__setitem__'",
         "the renaming": "target, name = os, 'replace'",
@@ -119,12 +118,12 @@ setattr(target, name, deadly)
     assert result.returncode != 0
     names = {path.name for path in (tmp_path / "run").glob("checkpoint-*")}
     assert names == {"checkpoint-00000002.h5", "checkpoint-00000004.h5.part"}
-    assert_goes_on(mpirun, tmp_path, "run")
+    assert_goes_on(tmp_path / "run")
 
 
 @pytest.mark.parametrize("kinds, status", [
-    (["SIGINT"], 130), (["SIGTERM"], 143), (["SIGUSR1"], 0), (["SIGUSR1"] * 3, 0),
-    (["SIGTERM"] * 3, 143), (["SIGUSR1", "SIGTERM", "SIGUSR1", "SIGTERM"], 143)])
+    (["SIGINT"], 130), (["SIGUSR1"] * 3, 0), (["SIGTERM"] * 3, 143),
+    (["SIGUSR1", "SIGTERM", "SIGUSR1", "SIGTERM"], 143)])
 def test_signals_end_a_run_with_a_checkpoint(petscib, tmp_path, kinds, status):
     """Sent by rank 1 to itself within its 3rd step; one rank having them is enough."""
     broken = f"""
@@ -146,7 +145,7 @@ guard.check = signalled
 
 
 @pytest.mark.parametrize("ranks", [1, 2])
-def test_sigterm_saves_though_the_step_never_ends(petscib, mpirun, tmp_path, ranks):
+def test_sigterm_saves_though_the_step_never_ends(petscib, tmp_path, ranks):
     """As a launcher does it: SIGTERM, and SIGKILL before the step is over."""
     broken = """
 import os, signal
@@ -162,7 +161,7 @@ guard.check = killed
     result = petscib(*OPTIONS, "-output", "run", "-ts_max_steps", 500, broken=broken, ranks=ranks)
     assert result.returncode != 0
     assert [path.name for path in (tmp_path / "run").glob("*.h5")] == ["checkpoint-00000003.h5"]
-    assert_goes_on(mpirun, tmp_path, "run")
+    assert_goes_on(tmp_path / "run")
 
 
 def ending(*kinds):
@@ -198,7 +197,7 @@ resource.setrlimit(resource.RLIMIT_FSIZE, ({0}, {0}))
 
 @pytest.mark.parametrize("limit, file", [(30_000, "checkpoint-00000002.h5.part"),
                                          (9_000, "outlines.csv")])
-def test_files_that_cannot_grow(petscib, mpirun, tmp_path, limit, file):
+def test_files_that_cannot_grow(petscib, tmp_path, limit, file):
     every = 2 if file.startswith("checkpoint") else 50
     result = petscib(*OPTIONS, "-output", "run", "-ts_max_steps", 8, "-checkpoint_every", every,
                      "-outline_every", 1, broken=SMALL_FILES.format(limit))
@@ -207,7 +206,7 @@ def test_files_that_cannot_grow(petscib, mpirun, tmp_path, limit, file):
     assert not list((tmp_path / "run").glob("*.h5*"))
 
 
-def test_a_full_disk(petscib, mpirun, tmp_path):
+def test_a_full_disk(petscib, tmp_path):
     disk = tmp_path / "disk"
     disk.mkdir()
     made = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=300k", "tmpfs", disk],
@@ -220,21 +219,14 @@ def test_a_full_disk(petscib, mpirun, tmp_path):
         line = one_line(result, 3)
         assert "No space left on device; the last checkpoint is disk/run/checkpoint-" in line
         subprocess.run(["mount", "-o", "remount,size=9m", disk], check=True)
-        assert_goes_on(mpirun, tmp_path, "disk/run", steps=12)
+        assert_goes_on(disk / "run", steps=12)
     finally:
         subprocess.run(["umount", disk], check=True)
 
 
-@pytest.mark.parametrize("folder", ["/proc/petscib", "file/below"])
-def test_a_folder_that_cannot_be_made(petscib, tmp_path, folder):
-    (tmp_path / "file").write_text("")
-    line = one_line(petscib(*OPTIONS, "-output", folder, "-ts_max_steps", 1), 2)
-    assert folder.split("/")[1 if folder[0] == "/" else 0] in line
-
-
 # --- the physics and the solvers
 
-def test_a_solver_that_diverges(petscib, mpirun, tmp_path):
+def test_a_solver_that_diverges(petscib, tmp_path):
     wrong = ["-momentum_ksp_max_it", 1, "-momentum_ksp_rtol", 1e-14]
     result = petscib(*OPTIONS, "-output", "run", "-ts_max_steps", 4, *wrong)
     line = one_line(result, 3)
@@ -242,7 +234,7 @@ def test_a_solver_that_diverges(petscib, mpirun, tmp_path):
                  "-momentum_ksp_max_it", "a smaller -ts_dt",
                  "the state before it is in run/checkpoint-00000000.h5"):
         assert part in line
-    assert_goes_on(mpirun, tmp_path, "run", "-momentum_ksp_max_it", 100, steps=3)
+    assert_goes_on(tmp_path / "run", steps=3, momentum_ksp_max_it="100")
     result = petscib(*OPTIONS, "-output", "other", "-ts_max_steps", 4, "-ts_adapt", *wrong)
     *attempts, line = result.stderr.splitlines()
     assert result.returncode == 3 and len(attempts) == 9
@@ -250,7 +242,7 @@ def test_a_solver_that_diverges(petscib, mpirun, tmp_path):
     assert "the state before it is in other/" in line
 
 
-def test_a_state_that_is_not_finite(petscib, mpirun, tmp_path):
+def test_a_state_that_is_not_finite(petscib, tmp_path):
     """One rank gets a NaN; all of them end."""
     broken = """
 from petscib import guard
@@ -266,7 +258,7 @@ guard.check = poison
     assert "step 3 from time" in line and "the velocity is no longer finite" in line
     with h5py.File(tmp_path / "run" / "checkpoint-00000002.h5") as file:
         assert np.isfinite(file["fluid/u"]).all()
-    assert_goes_on(mpirun, tmp_path, "run")
+    assert_goes_on(tmp_path / "run")
 
 
 BUGS = {
@@ -281,6 +273,8 @@ def broken(problem, state):
 guard.check = broken
 """,
     "the step": """
+from petscib import driver
+driver.PATIENCE = 1.0  # seconds: the others never come
 import numpy as np
 from petscib.problem import Problem
 whole, calls = Problem.interpolation, []
@@ -292,6 +286,8 @@ def broken(self, markers):
 Problem.interpolation = broken
 """,
     "PETSc": """
+from petscib import driver
+driver.PATIENCE = 1.0  # seconds: the others never come
 from petsc4py import PETSc
 from petscib.problem import Problem
 whole, calls = Problem.interpolation, []
@@ -304,6 +300,8 @@ def broken(self, markers):
 Problem.interpolation = broken
 """,
     "the diagnostics": """
+from petscib import driver
+driver.PATIENCE = 1.0  # seconds: the others never come
 from petscib.diagnostics import Diagnostics
 whole = Diagnostics.row
 def broken(self, state, *arguments):
@@ -322,7 +320,7 @@ TEXTS = {
 
 
 @pytest.mark.parametrize("where", BUGS)
-def test_one_rank_alone_fails(petscib, mpirun, tmp_path, where):
+def test_one_rank_alone_fails(petscib, tmp_path, where):
     """Whatever the others do: one line, the last good state saved, and where it was raised."""
     result = petscib(*OPTIONS, "-output", "run", "-ts_max_steps", 8, "-ts_adapt",
                      broken=BUGS[where])
@@ -332,12 +330,12 @@ def test_one_rank_alone_fails(petscib, mpirun, tmp_path, where):
         assert part in line
     assert "in broken" in (tmp_path / "run" / "traceback.txt").read_text()
     if where == "the diagnostics":  # then there is no row of that step
-        mpirun(2, "-m", "petscib", "-restart", "latest", "-output", "run")
+        run(tmp_path / "run", restart="latest")
     else:
-        assert_goes_on(mpirun, tmp_path, "run")
+        assert_goes_on(tmp_path / "run")
 
 
-def test_all_ranks_fail_alike(petscib, mpirun, tmp_path):
+def test_all_ranks_fail_alike(petscib, tmp_path):
     broken = BUGS["checks"].replace(" and rank == 1", "")
     line = one_line(petscib(*OPTIONS, "-output", "run", "-ts_max_steps", 8, broken=broken), 3)
     assert "a bug in two lines; run/traceback.txt" in line
@@ -382,19 +380,16 @@ class Failing(Slow):
 """
 
 
-@pytest.mark.parametrize("name, status, parts", [
-    ("Wrong", 3, ["AttributeError: 'Wrong' object has no attribute 'nothing'", "checkpoint-"]),
-    ("Failing", 3, ["the inner solve failed; try a smaller", "checkpoint-"]),
-    ("Nobody", 2, ["-poisson_pc_python_type preconditioners.Nobody: preconditioners has no"]),
-])
-def test_preconditioners_of_the_user(petscib, tmp_path, name, status, parts):
+@pytest.mark.parametrize("name, part", [
+    ("Wrong", "AttributeError: 'Wrong' object has no attribute 'nothing'"),
+    ("Failing", "the inner solve failed; try a smaller")])
+def test_preconditioners_of_the_user(petscib, tmp_path, name, part):
     (tmp_path / "preconditioners.py").write_text(PRECONDITIONERS)
     result = petscib(*OPTIONS, "-output", "run", "-ts_max_steps", 2, "-poisson_pc_type", "python",
                      "-poisson_pc_python_type", f"preconditioners.{name}")
-    line = one_line(result, status)
-    for part in parts:
-        assert part in line
-    assert (tmp_path / "run" / "checkpoint-00000000.h5").exists() == (status == 3)
+    line = one_line(result, 3)
+    assert part in line and "checkpoint-" in line
+    assert (tmp_path / "run" / "checkpoint-00000000.h5").exists()
 
 
 def test_a_preconditioner_that_cannot_be_made_is_no_bad_input(petscib, tmp_path):
@@ -445,25 +440,25 @@ def test_a_solve_that_failed_within_another_can_be_tried_again(petscib, tmp_path
 
 # --- the walls
 
-def test_a_vesicle_that_is_carried_to_the_outlet(petscib, tmp_path):
-    words = ["-scene", "poiseuille", "-scheme", "gcn", "-stag_grid_x", 64, "-ts_dt", 0.25,
-             "-ts_max_time", 20, "-fft", "-plot", "no", "-monitor", "none", "-output", "run"]
-    line = one_line(petscib(*words), 3)
+def test_a_vesicle_that_is_carried_to_the_outlet(tmp_path):
+    with pytest.raises(WallError) as caught:
+        run(tmp_path, scene="poiseuille", scheme="gcn", stag_grid_x="64", axes="0.2,0.3",
+            ts_dt="0.25", ts_max_time="20", fft="yes")
+    line = str(caught.value)
     assert "the vesicle has come to the wall x = 3, where the box ends: marker " in line
     assert "a larger -domain" in line and "-ts_dt" not in line
 
 
-def test_a_guess_beyond_the_walls_is_a_failed_step(petscib, tmp_path):
-    words = ["-stag_grid_x", 24, "-axes", "0.2,0.3", "-scheme", "gcn", "-flow", "extensional",
-             "-shear_rate", 20, "-center", "0.2,0", "-ts_dt", 0.06, "-ts_max_time", 1,
-             "-plot", "no", "-monitor", "none", "-output", "run"]
-    warning, line = petscib(*words).stderr.splitlines()
-    assert "-ts_dt 0.025 is advised" in warning and " from time 0 failed: " in line
-    result = petscib(*words, "-ts_adapt")
-    _, *attempts, line = result.stderr.splitlines()
-    attempts = [one for one in attempts if "failed" in one]  # beside remarks on a near wall
-    assert result.returncode == 3 and attempts and all("; trying " in one for one in attempts)
-    assert "is in run/checkpoint-" in line and "from time 0.0" in line
+def test_a_guess_beyond_the_walls_is_a_failed_step(tmp_path, capfd):
+    words = dict(scheme="gcn", axes="0.2,0.3", flow="extensional", shear_rate="20",
+                 center="0.2,0", ts_dt="0.06", ts_max_time="1")
+    with pytest.raises(SolveError, match=" from time 0 failed: "):
+        run(tmp_path / "fixed", **words)
+    assert "-ts_dt 0.025 is advised" in capfd.readouterr().err
+    with pytest.raises(SolveError, match="from time 0.0.*is in .*/run/checkpoint-"):
+        run(tmp_path / "run", ts_adapt="yes", **words)
+    attempts = [one for one in capfd.readouterr().err.splitlines() if "failed" in one]
+    assert attempts and all("; trying " in one for one in attempts)
 
 
 def test_thrown_markers_are_told_from_those_that_arrive(tmp_path):
@@ -493,9 +488,8 @@ def test_markers_that_fall_together_leave_the_membrane_without_a_tangent(tmp_pat
 
 # --- outputs that fail
 
-@pytest.mark.parametrize("stream", [1, 2])
 @pytest.mark.parametrize("sink", ["a full disk", "a reader that has gone"])
-def test_a_run_does_not_depend_on_being_heard(tmp_path, stream, sink):
+def test_a_run_does_not_depend_on_being_heard(tmp_path, sink):
     if sink == "a full disk":
         if not os.path.exists("/dev/full"):
             pytest.skip("no /dev/full here")
@@ -503,29 +497,25 @@ def test_a_run_does_not_depend_on_being_heard(tmp_path, stream, sink):
     else:
         read, write = os.pipe()
         os.close(read)
-    streams = {1: subprocess.DEVNULL, 2: subprocess.DEVNULL, stream: write}
     for monitor in ("log", "bar"):
         words = [*OPTIONS, "-monitor", monitor, "-output", monitor, "-ts_max_steps", 3]
         result = subprocess.run([sys.executable, "-m", "petscib", *map(str, words)], cwd=tmp_path,
-                                env=mpi_environment(), stdout=streams[1], stderr=streams[2])
+                                env=mpi_environment(), stdout=write, stderr=write)
         assert result.returncode == 0
         assert (tmp_path / monitor / "summary.json").exists()
     os.close(write)
 
 
-@pytest.mark.parametrize("error", ["ValueError", "RuntimeError", "AssertionError"])
-def test_pictures_that_fail_are_a_warning(petscib, tmp_path, error):
-    broken = f"""
-from petscib.output import plots
-def fail(folder):
-    raise {error}("no ink")
-plots.plot_all = fail
-"""
-    result = petscib(*OPTIONS, "-plot", "yes", "-output", "run", "-ts_max_steps", 1,
-                     broken=broken)
-    line = one_line(result, 0)
+@pytest.mark.parametrize("error", [ValueError, RuntimeError, AssertionError])
+def test_pictures_that_fail_are_a_warning(tmp_path, monkeypatch, capfd, error):
+    def fail(folder):
+        raise error("no ink")
+
+    monkeypatch.setattr(plots, "plot_all", fail)
+    run(tmp_path, plot="yes", ts_max_steps="1")
+    line, = capfd.readouterr().err.splitlines()
     assert line.startswith("petscib: not all pictures could be drawn: ") and "no ink" in line
-    assert (tmp_path / "run" / "summary.json").exists()
+    assert (tmp_path / "summary.json").exists()
 
 
 def test_a_scheme_that_cannot_be_built_leaves_no_options(tmp_path, monkeypatch):

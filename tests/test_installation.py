@@ -5,45 +5,57 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from conftest import mpi_environment
+from petsc4py import PETSc
 
 import petscib
+from petscib import installation
+from petscib.errors import InputError
 
 ROOT = Path(__file__).parents[1]
 
 
-@pytest.mark.parametrize("word", ["-version", "--version"])
-def test_version(mpirun, tmp_path, word):
-    result = mpirun(2, "-m", "petscib", word, "-output", "run", "-ts_max_steps", 1)
+@pytest.mark.parametrize("word, ranks", [("-version", 2), ("--version", 1)])
+def test_version(mpirun, tmp_path, word, ranks):
+    result = mpirun(ranks, "-m", "petscib", word, "-output", "run", "-ts_max_steps", 1)
     versions = dict(line.split(" ", 1) for line in result.stdout.splitlines())
     assert versions["petscib"] == petscib.__version__ and result.stderr == ""
     assert {"petsc", "petsc4py", "mpi", "mpi4py", "h5py", "numpy", "scipy"} < set(versions)
     assert not (tmp_path / "run").exists()
 
 
-REFUSED = {
-    "complex numbers": ("from petsc4py import PETSc; PETSc.ScalarType = np.complex128",
-                        "this PETSc computes with complex128; needed: "),
-    "single precision": ("from petsc4py import PETSc; PETSc.ScalarType = np.float32",
-                         "this PETSc computes with float32; needed: "),
-    "another MPI's launcher, like Open MPI's": ("os.environ['OMPI_COMM_WORLD_SIZE'] = '2'",
-                                                "started 2 ranks, but each sees itself alone"),
-    "another MPI's launcher, like MPICH's": ("os.environ['PMI_SIZE'] = '4'",
-                                             "started 4 ranks, but each sees itself alone"),
-}
+@pytest.mark.parametrize("number, message", [
+    (np.complex128, "this PETSc computes with complex128; needed: "),
+    (np.float32, "this PETSc computes with float32; needed: ")])
+def test_other_numbers_are_refused(monkeypatch, number, message):
+    monkeypatch.setattr(PETSc, "ScalarType", number)
+    with pytest.raises(InputError, match=message):
+        installation.check()
 
 
-@pytest.mark.parametrize("case", REFUSED)
-def test_what_does_not_fit_is_refused(mpirun, tmp_path, case):
-    broken, message = REFUSED[case]
+@pytest.mark.parametrize("name, count", [("OMPI_COMM_WORLD_SIZE", "2"), ("PMI_SIZE", "4")])
+def test_another_mpis_launcher_is_refused(monkeypatch, name, count):
+    """Like Open MPI's, and like MPICH's."""
+    for known in installation._WORLD_SIZES:
+        monkeypatch.delenv(known, raising=False)
+    monkeypatch.setenv(name, count)
+    with pytest.raises(InputError, match=f"started {count} ranks, but each sees itself alone"):
+        installation.check()
+    monkeypatch.setenv(name, "1")
+    installation.check()
+
+
+def test_what_does_not_fit_ends_the_program(mpirun, tmp_path):
     (tmp_path / "driver.py").write_text(
-        "import os, sys; import numpy as np; import petsc4py; petsc4py.init(['petscib'])\n"
-        f"{broken}\nfrom petscib.__main__ import main\nsys.exit(main(['-output', 'run']))\n")
+        "import sys; import numpy as np; import petsc4py; petsc4py.init(['petscib'])\n"
+        "from petsc4py import PETSc; PETSc.ScalarType = np.complex128\n"
+        "from petscib.__main__ import main\nsys.exit(main(['-output', 'run']))\n")
     result = mpirun(1, "driver.py", check=False)
     assert result.returncode == 2 and not (tmp_path / "run").exists()
     line, = result.stderr.splitlines()
-    assert line.startswith("petscib: ") and message in line
+    assert line.startswith("petscib: this PETSc computes with complex128; needed: ")
 
 
 def test_options_that_nothing_has_read_are_not_listed_by_petsc(mpirun):

@@ -189,9 +189,8 @@ def test_the_damped_start_makes_no_second_solver(tmp_path):
 
 
 @pytest.mark.parametrize("words, loaded", [
-    ([], set()), (["-fft"], {"petscib.solvers.transforms.bases"}),
-    (["-xdmf_every", "1"], {"petscib.output.xdmf"}), (["-plot", "yes"], {"matplotlib"}),
-    (["-monitor", "bar"], {"tqdm"})])
+    ([], set()), (["-plot", "yes"], {"matplotlib"}), (["-fft", "-xdmf_every", "1"],
+     {"petscib.solvers.transforms.bases", "petscib.output.xdmf"}), (["-monitor", "bar"], {"tqdm"})])
 def test_modules(words, loaded, mpirun):
     if "tqdm" in loaded:
         pytest.importorskip("tqdm")

@@ -56,7 +56,7 @@ def final(simulation):
 # ---------------------------------------------------------------- exact solutions
 
 
-@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parallel([1, 3])
 @every_solver
 @pytest.mark.parametrize("scheme", ["mbe", "be"])
 @pytest.mark.parametrize("periodic", ["x", "y"])
@@ -200,7 +200,7 @@ def test_a_vesicle_may_cross_periodic_sides(tmp_path, periodic, solver):
 # ---------------------------------------------------------------- files
 
 
-@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parallel([1, 3])
 @pytest.mark.parametrize("periodic", ["none", "x", "y", "xy"])
 def test_shapes_in_the_files(tmp_path, periodic):
     fluid_alone(tmp_path, "fft", periodic=periodic, ts_max_steps="1").run()
@@ -229,7 +229,7 @@ def test_restart_keeps_the_sides(tmp_path):
         prepare(tmp_path, restart=str(tmp_path / "final.h5"), periodic="none", ts_max_steps="2")
 
 
-@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parallel([1, 3])
 @pytest.mark.parametrize("periodic", ["x", "y", "xy"])
 def test_fields_for_paraview(tmp_path, periodic):
     simulation = fluid_alone(tmp_path, "fft", periodic=periodic)

@@ -63,39 +63,33 @@ def test_after_all_these():
 '''
 
 
-@pytest.fixture(scope="module")
-def report(tmp_path_factory):
+OUTCOMES = {
+    "size_and_shared_folder[ranks=1]": "PASSED",
+    "size_and_shared_folder[ranks=3]": "PASSED",
+    "assert_on_rank_1[ranks=2]": "FAILED",
+    "assert_on_rank_1_before_a_collective[ranks=2]": "FAILED",
+    "rank_1_dies[ranks=2]": "FAILED",
+    "rank_1_hangs[ranks=2]": "FAILED",
+    "skipped[ranks=2]": "SKIPPED",
+    "expected_failure[ranks=2]": "XFAIL",
+    "after_all_these[ranks=2]": "PASSED",
+}
+
+
+def test_outcomes(tmp_path):
     """Pytest's report of the cases above, run in a folder of their own."""
-    folder = tmp_path_factory.mktemp("plumbing")
-    shutil.copy(pathlib.Path(__file__).with_name("conftest.py"), folder)
-    (folder / "test_cases.py").write_text(CASES)
+    shutil.copy(pathlib.Path(__file__).with_name("conftest.py"), tmp_path)
+    (tmp_path / "test_cases.py").write_text(CASES)
     begin = time.monotonic()
     # Without `env` the child would inherit what MPI, once initialised here, adds to the environment
     # behind Python's back, and take itself for a rank of this process's job.
-    result = subprocess.run(
+    report = subprocess.run(
         [sys.executable, "-m", "pytest", "-rA", "-v", "-p", "no:cacheprovider", "test_cases.py"],
-        cwd=folder, env=mpi_environment(), stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT, text=True, timeout=100)
-    assert time.monotonic() - begin < 60, result.stdout
-    return result.stdout
-
-
-@pytest.mark.parametrize("name, outcome", [
-    ("size_and_shared_folder[ranks=1]", "PASSED"),
-    ("size_and_shared_folder[ranks=3]", "PASSED"),
-    ("assert_on_rank_1[ranks=2]", "FAILED"),
-    ("assert_on_rank_1_before_a_collective[ranks=2]", "FAILED"),
-    ("rank_1_dies[ranks=2]", "FAILED"),
-    ("rank_1_hangs[ranks=2]", "FAILED"),
-    ("skipped[ranks=2]", "SKIPPED"),
-    ("expected_failure[ranks=2]", "XFAIL"),
-    ("after_all_these[ranks=2]", "PASSED"),
-])
-def test_outcome(report, name, outcome):
-    assert f"test_cases.py::test_{name} {outcome}" in report
-
-
-def test_failing_rank_is_named(report):
+        cwd=tmp_path, env=mpi_environment(), stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT, text=True, timeout=100).stdout
+    assert time.monotonic() - begin < 60, report
+    for name, outcome in OUTCOMES.items():
+        assert f"test_cases.py::test_{name} {outcome}" in report
     assert "rank 1 failed" in report and "only here" in report
     assert "rank 0 did not finish" in report
     assert "stopped after 2 s without progress" in report

@@ -1,10 +1,11 @@
-"""Whole runs through the command line: the paper's cases, ranks, failures and what is left."""
+"""Whole runs: the paper's cases, ranks, failures and what is left."""
 import json
 
 import h5py
 import numpy as np
 import pytest
 
+from petscib import Simulation
 from petscib.output import tables
 
 QUIET = ("-plot", "false", "-monitor", "none")
@@ -24,6 +25,13 @@ def petscib(mpirun):
     return run
 
 
+def run(folder, **options):
+    """The diagnostics of a run in this process, by column."""
+    with Simulation(**options, output=str(folder), plot=False, monitor="none") as simulation:
+        simulation.run()
+    return read(folder)
+
+
 def read(folder):
     """The diagnostics of a run, by column."""
     return tables.read(folder / "diagnostics.csv")
@@ -33,10 +41,9 @@ def read(folder):
 @pytest.mark.parametrize("scheme, paper, prototype", [
     ("mbe", (1.470e-3, 7.444e-3), (2.61e-5, 7.83e-4)),
     ("mcn", (2.688e-3, 6.899e-3), (2.67e-5, 2.66e-4))])
-def test_relaxation_by_the_papers_method(petscib, tmp_path, scheme, paper, prototype):
-    petscib(1, "-scene", "relaxation", "-scheme", scheme, "-delta", "yang", "-kink_correction",
-            "false", "-conserve_area", "false", "-stag_grid_x", 64)
-    table = read(tmp_path / "out/relaxation")
+def test_relaxation_by_the_papers_method(tmp_path, scheme, paper, prototype):
+    table = run(tmp_path, scene="relaxation", scheme=scheme, delta="yang", kink_correction=False,
+                conserve_area=False, stag_grid_x=64)
     assert table["time"][-1] == pytest.approx(0.125) and len(table["step"]) == 17
     errors = table["area_error"][-1], table["perimeter_error"][-1]
     assert errors[0] <= paper[0] and errors[1] <= paper[1]
@@ -45,9 +52,8 @@ def test_relaxation_by_the_papers_method(petscib, tmp_path, scheme, paper, proto
 
 @pytest.mark.parametrize("sigma0", ["1e5", "1e9"])
 @pytest.mark.parametrize("scheme, largest", [("mbe", 8e-3), ("gcn", 1e-8)])
-def test_stiff_vesicle_at_a_long_time_step(petscib, tmp_path, scheme, largest, sigma0):
-    petscib(1, "-scene", "stiff", "-sigma0", sigma0, "-scheme", scheme, "-ts_dt", 2 / 64, "-fft")
-    table = read(tmp_path / "out/stiff")
+def test_stiff_vesicle_at_a_long_time_step(tmp_path, scheme, largest, sigma0):
+    table = run(tmp_path, scene="stiff", sigma0=sigma0, scheme=scheme, ts_dt=2 / 64, fft=True)
     assert len(table["step"]) == 33 and table["time"][-1] == pytest.approx(1)
     assert table["area_error"].max() <= 1e-9
     # What the tension itself stretches is left to the weaker membrane.
@@ -137,9 +143,9 @@ def test_a_failed_solve_ends_the_run_with_its_reason(petscib):
 
 
 @pytest.mark.parametrize("options", [
-    ("-scene", "tanktreading", "-ts_dt", "0.011", "-ts_max_time", "0.0551"),
-    ("-scene", "poiseuille", "-stag_grid_x", 64, "-ts_dt", "0.0625", "-ts_max_time", "0.13")])
+    dict(scene="tanktreading", ts_dt=0.011, ts_max_time=0.0551),
+    dict(scene="poiseuille", stag_grid_x=64, ts_dt=0.0625, ts_max_time=0.13)])
 @pytest.mark.parametrize("scheme", ["mbe", "gcn"])
-def test_a_last_step_that_is_much_shorter(petscib, options, scheme):
+def test_a_last_step_that_is_much_shorter(tmp_path, options, scheme):
     """Multigrid made for another time step would no longer precondition."""
-    petscib(1, *options, "-scheme", scheme)
+    assert run(tmp_path, **options, scheme=scheme)["time"][-1] == options["ts_max_time"]

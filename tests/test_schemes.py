@@ -5,6 +5,7 @@ import dense
 import numpy as np
 import pytest
 
+from petscib.errors import SolveError
 from petscib.fluid.flows import extensional
 from petscib.membranes import geometry
 from petscib.schemes import SCHEMES, Controls, create
@@ -442,4 +443,41 @@ def test_perimeter_at_high_stiffness(scheme, largest):
     for _ in range(8):
         state = stepper.step(state, 2 / 32).end
         assert abs(geometry.perimeter(state.markers) / start - 1) <= largest
+    stepper.destroy()
+
+
+# ---------------------------------------------------------------- the tangent iteration
+
+
+def elongated(**values):
+    return dense.problem(stag_grid_x=24, flow="shear", shear_rate=1.0, axes="0.25,0.4", sigma0=1e5,
+                         bending=0.01, fft=True, **values)
+
+
+@pytest.mark.parametrize("scheme", ["gbe", "gcn"])
+def test_passes_make_the_stretching_that_of_the_markers(scheme):
+    """Which takes more of them the more accurate it is to be; errors are below the tolerance."""
+    passes, errors = [], []
+    for tolerance in (1e-3, 1e-6, 1e-9):
+        problem, state = elongated(stretch="evolve")
+        stepper = create(scheme, problem, Controls(fft=True, picard_rtol=tolerance))
+        step = stepper.step(state, 0.1)
+        moved = np.hypot(*(step.end.markers - state.markers).T).max()
+        stretch = problem.membranes.curves.stretching(step.end.markers)
+        errors.append(np.abs(step.end.stretch - stretch).max()
+                      * problem.membranes.curves.ds[0] / moved)
+        passes.append(step.iterations["picard"])
+        assert errors[-1] <= tolerance
+        stepper.destroy()
+    assert passes[0] < passes[1] < passes[2] <= 20 and errors[2] < 1e-3 * errors[0]
+
+
+@pytest.mark.parametrize("scheme", ["gbe", "gcn"])
+def test_too_few_passes_fail_the_step(scheme):
+    problem, state = elongated()
+    before = state.markers.copy()
+    stepper = create(scheme, problem, Controls(fft=True, picard_max_it=2))
+    with pytest.raises(SolveError, match=r"did not converge in 2 passes \(the markers still"):
+        stepper.step(state, 0.1)
+    np.testing.assert_array_equal(state.markers, before)
     stepper.destroy()

@@ -13,10 +13,12 @@ from petscib.output import tables
 from petscib.settings import text_of
 from petscib.studies import (
     compare,
+    contrast,
     convergence,
     cputime,
     defaults,
     gallery,
+    iterations,
     maxstep,
     methods,
     report,
@@ -506,6 +508,47 @@ def test_vesicles_are_put_where_an_arrangement_had_them(tmp_path):
     for vesicle, (center, angle) in zip(again.each_vesicle(), placed):
         assert vesicle.center == pytest.approx(center)
         assert (vesicle.angle - angle + 90) % 180 == pytest.approx(90)
+
+
+@pytest.mark.parametrize("start", [0.5, 0.0])
+@pytest.mark.parametrize("A, regime", [(1.3, contrast.TREADS), (0.8, contrast.TUMBLES)])
+def test_the_regime_is_that_of_keller_and_skalak(start, A, regime):
+    """d theta / dt = -(1 - A cos 2 theta) / 2, from an upright start and from a level one."""
+    time = np.linspace(0, 16, 1601)
+    angle = np.full(len(time), np.pi * start)
+    for k in range(len(time) - 1):
+        angle[k + 1] = angle[k] - 0.005 * (1 - A * np.cos(2 * angle[k]))
+    assert contrast.regime(time, angle / np.pi) == regime
+    if start:  # before it has turned
+        early = time <= 1.0
+        assert contrast.regime(time[early], angle[early] / np.pi) is None
+
+
+def test_the_critical_contrast_is_bracketed():
+    asked = []
+
+    def ask(value):
+        asked.append(value)
+        return contrast.TREADS if value < 4.7 else contrast.TUMBLES
+
+    found = contrast.bisect(ask, 2.0, 9.0, 0.05)
+    assert found == pytest.approx(4.7, rel=0.025) and len(asked) <= 8
+    assert contrast.bisect(ask, 5.0, 9.0, 0.05) is None is contrast.bisect(ask, 2.0, 4.0, 0.05)
+
+
+def test_values_are_extrapolated_by_the_two_smallest_sizes():
+    values = [3 + 2 * size**2 for size in (0.5, 0.25, 1.0)]
+    assert contrast.extrapolated((0.5, 0.25, 1.0), values) == pytest.approx(3.0)
+    assert contrast.extrapolated((0.5, 0.25), (3.5, 3.25), power=1) == pytest.approx(3.0)
+    assert contrast.extrapolated((0.5, 0.25), (3.5, None)) is None
+
+
+def test_iterations(campaign):
+    one = campaign("iterations")
+    rows = iterations.study(one, (24,), (1e5,), solvers=("momentum, transforms",))
+    (solver, cells, sigma0, count), = rows
+    assert (solver, cells, sigma0) == ("momentum, transforms", 24, 1e5) and 1 < count < 30
+    assert f"| momentum, transforms | 24^2 | {count} |" in open(one.path("iterations.md")).read()
 
 
 def test_grids_may_be_asked_for(tmp_path):

@@ -217,7 +217,7 @@ def tolerance(sigma0, corrected):
     return 1e-9 if sigma0 < 1e9 else 1e-6 if corrected else 1e-5
 
 
-@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parallel([1, 3])
 @every_iteration
 @pytest.mark.parametrize("sigma0", [1e5, 1e9])
 def test_all_iterations_find_the_dense_stage(sigma0, iteration):
@@ -415,7 +415,7 @@ def test_options_of_the_direct_solvers_act(iteration, part):
         assert close(found, expected, 1e-8), package
 
 
-@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parallel([1, 3])
 @every_iteration
 def test_a_failed_solve_raises_on_every_rank(iteration):
     equations, _, _, corrected = ITERATIONS[iteration]

@@ -42,7 +42,7 @@ print(json.dumps(frames))
 """
 
 
-@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parallel([1, 3])
 @pytest.mark.parametrize("flow", ["shear", "extensional", "poiseuille"])
 def test_cell_fields_of_background_flows(tmp_path, flow):
     simulation = prepare(tmp_path, flow=flow, shear_rate="2", **BOX)

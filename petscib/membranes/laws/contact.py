@@ -7,7 +7,6 @@ again when they may have moved by more than that; the matrices keep their entrie
 """
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 MARGIN = 0.5  # of the range; more makes more entries, less makes them change more often
 
@@ -97,6 +96,8 @@ class Contact(_Repulsion):
         """Pairs of markers of different membranes, shape (P, 2)."""
         if markers is None or self.curves.count < 2:
             return np.zeros((0, 2), int)
+        from scipy.spatial import cKDTree
+
         period = self._period
         at_home = markers - self._corner
         wraps = period > 0
