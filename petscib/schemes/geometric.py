@@ -10,9 +10,9 @@ from .stage import StageScheme
 
 MOTION = "marker_velocity"  # in the history: U, which carries the markers
 # Tolerance of the solve in a pass, as a fraction of the positions' change in the pass before, but
-# no less than a fraction of the tangent iteration's own tolerance.  On 64^2, gcn, dt = h and 16 h, a
+# no less than a fraction of the tangent iteration's own tolerance.  (gcn, 64^2, dt = h and 16 h: a
 # first fraction of 0.05 takes a fifth fewer iterations but 1.2 to 1.4 times the passes, in the same
-# time; a second one of 0.1 saves 4 percent of the iterations.
+# time; a second one of 0.1 saves 4 percent of the iterations.)
 INNER_FRACTION, LAST_FRACTION = 0.005, 0.01
 # Earlier passes that the acceleration uses.  There 5 to 30 take the same passes; without any, there
 # are 1.2 to 1.6 times as many.

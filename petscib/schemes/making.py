@@ -47,39 +47,37 @@ class Solvers:
 
     def momentum(self):
         """Of the momentum system."""
-        if self.problem.viscosity is not None:
-            return self._varying("VaryingMomentum")
-        return self._fluid(Momentum, self._helmholtz)
+        if self.problem.viscosity is None:
+            return self._fluid(Momentum, self._helmholtz)
+        from ..solvers.varying import VaryingMomentum
+
+        return self._fluid(VaryingMomentum, self._helmholtz)
 
     def stokes(self):
         """Of velocity and pressure together."""
-        if self.problem.viscosity is not None:
-            return self._varying("VaryingStokes")
+        if self.problem.viscosity is None:
+            return self._fluid(Stokes, self._saddle_point)
+        from ..solvers.varying import VaryingStokes
 
-        def transform():
-            from ..solvers.transforms.saddle_point import StokesTransform
+        return self._fluid(VaryingStokes, self._helmholtz)
 
-            return StokesTransform(self.problem.grid, self.problem.operators)
-
-        return self._fluid(Stokes, transform)
+    # Transforms are loaded only where they are asked for.
 
     def _helmholtz(self):
         from ..solvers.transforms.diagonal import HelmholtzTransform
 
         return HelmholtzTransform(self.problem.grid)
 
-    def _varying(self, name):
-        from ..solvers import varying
+    def _saddle_point(self):
+        from ..solvers.transforms.saddle_point import StokesTransform
 
-        return self._fluid(getattr(varying, name), self._helmholtz, self.problem.viscosity)
+        return StokesTransform(self.problem.grid, self.problem.operators)
 
-    def _fluid(self, kind, transform, viscosity=None):
-        problem, advection = self.problem, self.problem.advection
-        if advection is not None and not advection.implicit:
-            advection = None
-        return kind(problem.operators, problem.rho,
-                    problem.mu if viscosity is None else viscosity,
-                    transform() if self.fft else None, advection)
+    def _fluid(self, kind, transform):
+        problem = self.problem
+        implicit = problem.advection is not None and problem.advection.implicit
+        return kind(problem.operators, problem.rho, problem.viscosity or problem.mu,
+                    transform() if self.fft else None, problem.advection if implicit else None)
 
     def poisson(self):
         """Of the pressure's Poisson problem."""

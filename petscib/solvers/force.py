@@ -131,11 +131,6 @@ class Force(Iteration):
         krylov.use_python(self.ksp, self)
         self.ksp.setInitialGuessNonzero(False)
 
-    @property
-    def rtol(self):
-        """Relative tolerance of a solve."""
-        return self.ksp.getTolerances()[0]
-
     def forget(self):
         """Place the window anew at the next step."""
         if self._near:
@@ -219,7 +214,7 @@ class Force(Iteration):
         self._load.getArray()[:] = residual
         if accuracy is None:
             loaded = self._on_all(self._size(load))
-            tolerance = self.rtol * np.hypot(loaded, self._free_power)
+            tolerance = self.ksp.getTolerances()[0] * np.hypot(loaded, self._free_power)
         else:  # the error is measured by the power that the forces of the first guess exert
             exerted = np.sqrt(abs(np.sum(force * moved)))
             tolerance = self._on_all(max(
