@@ -69,7 +69,8 @@ _SCENES = (
         "tumbling",
         "a thin vesicle of 15 times the viscosity inside turns over and over in shear flow",
         dict(flow="shear", shear_rate=1.0, axes=(0.1, 0.3), viscosity_contrast=15.0,
-             stag_grid_x=96, sigma0=1e5, bending=0.01, scheme="gcn", ts_max_time=15.0),
+             stag_grid_x=96, sigma0=1e5, bending=0.01, scheme="gcn", delta="bspline43",
+             ts_max_time=15.0),
         cfl=4.0,
     ),
     Scene(

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 import numpy as np
 from petsc4py import PETSc
 
-from petscib import options
+from petscib import entries, options
 
 # ---------------------------------------------------------------- from PETSc to NumPy
 
@@ -293,6 +293,7 @@ def stage(grid, friction, mu, load, walls, carry, slip, stiffness, force, couple
 def petsc_options(**values):
     """Replace PETSc's options by `values` inside the block, and leave none of its traces."""
     database = PETSc.Options()
+    entries.present().withdraw()  # of the last simulation, which are not to come back below
     before = database.getAll()
     for name in before:
         database.delValue(name)
@@ -301,6 +302,7 @@ def petsc_options(**values):
     try:
         yield
     finally:
+        entries.present().withdraw()
         for name in database.getAll():
             database.delValue(name)
         for name, value in before.items():

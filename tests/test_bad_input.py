@@ -3,11 +3,11 @@ import os
 
 import numpy as np
 import pytest
-from petsc4py import PETSc
 from runs import SMALL, comm
 
 from petscib import options, petsc_options, restart, sources
 from petscib.driver import Driver
+from petscib.entries import Entries
 from petscib.errors import InputError
 
 # --- one process, every stage of a start: options, restart, marker file, output folder
@@ -17,15 +17,9 @@ def refusal(tmp_path, words):
     """The message; one line, and the folder is as before."""
     before = sorted(os.listdir(tmp_path))
     database = {**SMALL, "output": str(tmp_path / "out"), **words}
+    told = {name: text for name, text in words.items() if petsc_options.is_petsc(name)}
     with pytest.raises(InputError) as caught:
-        for name, text in words.items():  # PETSc reads its own from there
-            if petsc_options.is_petsc(name):
-                PETSc.Options()[name] = text
-        try:
-            Driver(options.read(restart.merge(database, comm)))
-        finally:
-            for name in words:
-                PETSc.Options().delValue(name)
+        Driver(options.read(restart.merge(database, comm)), entries=Entries(told))
     message = str(caught.value)
     assert len(message.splitlines()) == 1 and len(message) < 400
     assert sorted(os.listdir(tmp_path)) == before

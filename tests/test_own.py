@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from petscib.errors import InputError
-from petscib.fluid.force import BodyForce
+from petscib.fluid.body_force import BodyForce
 from petscib.fluid.grid import Grid
 from petscib.fluid.operators import Operators
 from petscib.fluid.sides import Sides
