@@ -5,8 +5,8 @@ import dense
 import h5py
 import numpy as np
 import pytest
-from petsc4py import PETSc
 from boundary_integrals import turning_speed
+from petsc4py import PETSc
 from runs import assert_same_run, comm, rows, run
 from test_ledger import IMPLICIT, TOLERANCE, largest_defect
 from test_ledger import run as ledgers

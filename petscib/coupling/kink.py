@@ -204,15 +204,17 @@ def stress_work(kernel, stiff, soft):
     (float, float)
         At 0 and at 45 degrees.
     """
-    found = []
-    for (weight, radius), _, (normal, _), lines, shares, stretch in _sights(kernel):
-        shift = STRESS_SHIFT * stretch
+    return tuple(_work(sight, stiff, soft) for sight in _sights(kernel))
 
-        def integrand(x):
-            passed = normal(x[..., None] - lines) @ shares
-            return weight(x + shift) ** 2 / (stiff + (soft - stiff) * passed)
 
-        # Where mu is large on one side, it changes fast.
-        ends = np.linspace(-radius - shift, radius - shift, int(32 * radius) + 1)
-        found.append(float(stretch * _integrate(integrand, ends)))
-    return tuple(found)
+def _work(sight, stiff, soft):
+    (weight, radius), _, (normal, _), lines, shares, stretch = sight
+    shift = STRESS_SHIFT * stretch
+
+    def integrand(x):
+        passed = normal(x[..., None] - lines) @ shares
+        return weight(x + shift) ** 2 / (stiff + (soft - stiff) * passed)
+
+    # Where mu is large on one side, it changes fast.
+    ends = np.linspace(-radius - shift, radius - shift, int(32 * radius) + 1)
+    return float(stretch * _integrate(integrand, ends))

@@ -65,10 +65,11 @@ class Slip:
 class ContrastSlip(Slip):
     """The kink correction where the viscosity inside is another, with what J' needs.
 
-    K = k + 2 b c |1 / mu_o - 1 / mu_i| - c^2 (1 / mu_o - 1 / mu_i)^2 W / h_n, times t t^T / |X_s|.
-    k = C h_n / 2 (1 / mu_o + 1 / mu_i) / 2 is the kink correction for the mean of both sides, c that
-    of J' (see `coupling.stress`), and the rest the slip that the stresses which J' spreads make up for:
-    b = `kink.stress_ahead`, W = `kink.stress_work`.  At least LEAST_SLIP of k is left.
+    K = (k + 2 b c |1 / mu_o - 1 / mu_i| - c^2 (1 / mu_o - 1 / mu_i)^2 W / h_n) t t^T / |X_s|.
+
+    k = C h_n / 2 (1 / mu_o + 1 / mu_i) / 2 is the kink correction for the mean of both sides, c
+    that of J' (see `coupling.stress`), and the rest the slip that the stresses which J' spreads
+    make up for: b = `kink.stress_ahead`, W = `kink.stress_work`.  At least LEAST_SLIP of k is left.
 
     Parameters
     ----------
