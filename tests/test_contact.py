@@ -183,10 +183,9 @@ def test_contact_with_every_iteration(tmp_path, iteration, words):
     found = []
     for fft in ("yes", "no"):
         simulation = prepare(tmp_path / fft, **{**CLOSE, "scheme": "mbe", "fft": fft},
-                             ts_max_steps="4")
-        with dense.petsc_options(momentum_ksp_rtol="1e-10", **(words if fft == "no" else {})):
-            simulation._make_scheme()
-            simulation.run()
+                             ts_max_steps="4", momentum_ksp_rtol="1e-10",
+                             **(words if fft == "no" else {}))
+        simulation.run()
         kind = type(simulation.scheme.system._iteration).__name__
         assert kind == ("Force" if fft == "yes" else iteration)
         simulation.destroy()
