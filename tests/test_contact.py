@@ -1,7 +1,6 @@
 """What every law promises, and what contact, tethers, loads and lines do to a run."""
 from types import SimpleNamespace
 
-import dense
 import numpy as np
 import pytest
 from runs import arrays, assert_same_run, comm, prepare, rows, run
