@@ -304,7 +304,9 @@ def _draw(path, records, profiles):
                 axis.loglog([one["x"] if part == "time" else one["seconds"] for one in known],
                             [one["value"] for one in known], label=f"{case} {scheme} {advection}",
                             **style)
-            axis.legend(fontsize=7)
+            if part == "time":  # room for many names above the lines
+                axis.set_ylim(top=300 * axis.get_ylim()[1])
+            axis.legend(fontsize=7, ncols=2 if part == "time" else 1)
             axis.set(xlabel="steps" if part == "time" else "seconds", ylabel="largest error")
         for k, reduced in enumerate(_reduced(records)):
             numbers = sorted({one["x"] for one in records if one["part"] == "vesicle"})
