@@ -3,9 +3,12 @@
 import os
 import sys
 import tempfile
+import time
 from contextlib import contextmanager
 
 from .errors import InputError, ours
+
+PATIENCE = 5.0  # seconds in which rank 0, to which alone PETSc says why, ends the job
 
 
 def start(arguments):
@@ -36,7 +39,9 @@ def start(arguments):
         said = [line for line in said if line and not line.startswith("-")]
         why = said[1] if len(said) > 1 else str(failure)
         error = InputError(f"PETSc cannot read its options: {why}")
-        if MPI.COMM_WORLD.size > 1:  # PETSc lets the others sleep, and die after a while
+        if MPI.COMM_WORLD.size > 1:  # which may fail as well, or sleep
+            if MPI.COMM_WORLD.rank > 0:
+                time.sleep(PATIENCE)
             print(f"petscib: {error}", file=sys.stderr, flush=True)
             MPI.COMM_WORLD.Abort(error.exit_status)
         raise error
