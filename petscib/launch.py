@@ -123,8 +123,8 @@ def main(arguments):
     asked = []
 
     def stop(kind, frame):
-        job.send_signal(signal.SIGTERM if asked else signal.SIGUSR1)
-        asked.append(kind)
+        asked.append(kind)  # first, as the next signal may come any time
+        job.send_signal(signal.SIGTERM if len(asked) > 1 else signal.SIGUSR1)
 
     try:
         command = launcher()
