@@ -30,7 +30,7 @@ SOLVERS = {
     "fft": {"fft": True},
 }
 COUPLED = {"fft": ("be", "gbe", "gcn"), "GAMG": ("be", "gcn")}
-# Other choices for both solvers: option names without prefix.
+# Other choices for velocity and pressure in the block iteration: option names without prefix.
 MULTIGRIDS = {
     "GAMG, SOR": {"mg_levels_ksp_type": "richardson", "mg_levels_ksp_max_it": 1,
                   "mg_levels_pc_type": "sor"},
@@ -97,8 +97,11 @@ class Case:
             dt = cputime.PAPER_EXPLICIT_DT[self.cells] * EXPLICIT_FRACTION
         if self.solver in WITHOUT:
             steps = WARM_UP + 1
-        other = {f"{prefix}_{name}": value for prefix in ("momentum", "poisson")
-                 for name, value in MULTIGRIDS.get(self.solver, {}).items()}
+        other = {}
+        if self.solver in MULTIGRIDS:
+            other = {f"{prefix}_{name}": value for prefix in ("momentum_velocity", "poisson")
+                     for name, value in MULTIGRIDS[self.solver].items()}
+            other.update(SOLVERS["GAMG block"])
         return dict(
             scene="stiff", scheme=self.scheme, sigma0=self.sigma0, stag_grid_x=self.cells,
             ts_dt=dt, ts_max_time=1e3, ts_max_steps=steps, warm_up=WARM_UP, delta="yang",
