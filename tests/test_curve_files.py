@@ -213,9 +213,9 @@ def test_the_time_grows_as_the_number_of_points(tmp_path):
         radius = 0.3 + 0.1 * np.cos(20 * turn)
         points = radius[:, None] * np.stack((np.cos(turn), np.sin(turn)), axis=1)
         text = rows(points)
-        began = time.perf_counter()
+        began = time.process_time()
         found, _ = read(tmp_path, text)
         Spline(found).markers(2000)
-        seconds.append(time.perf_counter() - began)
+        seconds.append(time.process_time() - began)
         assert len(found) == count
     assert seconds[1] < 5 and seconds[1] < 8 * max(seconds[0], 0.1)
