@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from .alerts import TIME_STEP
 from .combinations import WIDEST_SPACING
 from .fluid import flows
 from .membranes import geometry
@@ -110,7 +111,7 @@ class Doubts:
         cfl, residual = (self._largest.get(name, 0.0) for name in ("cfl", "ledger_residual"))
         carried = settings.vesicles and settings.tether == 0
         if carried and self._is_first_order() and cfl > LARGEST_CFL and (
-                "time step" not in said and settings.ts_rtol is None):
+                TIME_STEP not in said and settings.ts_rtol is None):
             found.append(f"CFL number up to {cfl:.2g} with a scheme of first order: -ts_dt "
                          f"{settings.ts_dt * LARGEST_CFL / cfl:.2g}, or -scheme gcn")
         if residual > settings.ledger_tol:

@@ -177,15 +177,14 @@ def factors(kernel, stiff, soft):
             (across, across, along, fine // 2, 1.0),
             (seen(across, across), seen(along, across), seen(along, across), 0, np.sqrt(2))):
         apart = seen(velocity, normals)
-        middle = 3 * fine * 2 % fine
-        distance = lattice(np.abs(x) * apart, middle + ahead) / stretch
+        distance = lattice(np.abs(x) * apart, ahead) / stretch
         # Cells are half a line beyond the faces of normals; corners lie between two cells.
         cell = sum(np.roll(normals, fine // 2 + k * fine) for k in range(6))
         passed = cell if stretch > 1 else (np.roll(cell, fine // 2) + np.roll(cell, -fine // 2)) / 2
         shift = round(0.25 * stretch * fine)
         reading = np.roll(read, -shift)
         beyond = seen(velocity, reading[::-1])  # over the distance from the stress to the velocity
-        share = lattice(np.where(x > 0, beyond, 0.0), middle + fine // 2)
+        share = lattice(np.where(x > 0, beyond, 0.0), fine // 2)
         work = stretch * np.sum(reading**2 / (stiff + (soft - stiff) * passed)) / fine
         found.append((distance, share - 0.5, work))
     return np.array(found).T

@@ -143,11 +143,14 @@ def _tabulated(one, other):
     return lambda y: spline(np.clip(y, -radius, radius)), radius
 
 
+@cache
 def _sights(kernel):
     """Across a membrane at 0 and at 45 degrees: where stress, velocity and normals are.
 
-    Yields
-    ------
+    Returns
+    -------
+    Two of these tuples.
+
     stress, velocity, normals : (callable, float)
         Weights and radii, over sums of grid coordinates.
     lines, shares : ndarray
@@ -159,10 +162,11 @@ def _sights(kernel):
     across, along = _across(kernel), _along(kernel)
     diagonal = _tabulated(along, across)
     # At corners 1 / mu is the mean of cells half a line before and behind.
-    lines = np.arange(int(2 * kernel.along_radius) + 1)
-    yield across, across, along, lines, np.where(lines == 0, 0.5, 1.0), 1.0
-    lines = np.arange(int(2 * diagonal[1]) + 1) + 0.5
-    yield (_tabulated(across, across), diagonal, diagonal, lines, np.ones(len(lines)), np.sqrt(2))
+    corners = np.arange(int(2 * kernel.along_radius) + 1)
+    cells = np.arange(int(2 * diagonal[1]) + 1) + 0.5
+    return (
+        (across, across, along, corners, np.where(corners == 0, 0.5, 1.0), 1.0),
+        (_tabulated(across, across), diagonal, diagonal, cells, np.ones(len(cells)), np.sqrt(2)))
 
 
 @cache

@@ -17,6 +17,15 @@ from .geometry import signed_area
 LEAST_SLIP = 0.1
 
 
+def _frames(curves, markers, grid):
+    """Chords' lengths, unit tangents and normals on their right, and spacings h_n along these."""
+    chord = curves.chords(markers)
+    length = np.hypot(*chord.T)
+    tangent = chord / length[:, None]
+    normal = tangent[:, ::-1] * (1, -1)
+    return length, tangent, normal, np.hypot(*(normal * (grid.dx, grid.dy)).T)
+
+
 class Slip:
     """The kink correction K: a velocity along the membrane for a force on the markers.
 
@@ -44,15 +53,11 @@ class Slip:
     """
 
     def __init__(self, curves, markers, grid, kernel, mu):
-        chord = curves.chords(markers)
+        length, self.tangent, self._right, self.spacing = _frames(curves, markers, grid)
         ends = (curves.after == np.arange(len(markers))) | (
             curves.before == np.arange(len(markers)))
-        length = np.hypot(*chord.T)
-        self.tangent = chord / length[:, None]
         self.length = length * np.where(ends, 1.0, 0.5)
-        scaled = self.tangent[:, ::-1] * (grid.dx, grid.dy)  # the normal, but for signs
-        self.spacing = np.hypot(*scaled.T)
-        self._directions = scaled / self.spacing[:, None]
+        self._directions = self._right * (grid.dx, grid.dy) / self.spacing[:, None]
         thickness = kink.thickness(kink.constants(kernel), self._directions) * self.spacing / 2
         self.mobility = thickness / (mu * self.length)
 
@@ -93,7 +98,7 @@ class ContrastSlip(Slip):
         super().__init__(curves, markers, grid, kernel,
                          curves.spread(2 / (1 / outer + 1 / inner)))
         side = curves.spread(np.sign(signed_area(markers, curves)))
-        self.normal = side[:, None] * self.tangent[:, ::-1] * (1, -1)
+        self.normal = side[:, None] * self._right
         straight, diagonal = curves.spread(np.array([
             kink.stress_work(kernel, *sorted((1 / value, 1 / outer))) for value in inner
         ]).reshape(-1, 2)).T
@@ -124,10 +129,7 @@ def stress_places(curves, markers, grid, outer, inner):
     -------
     ndarray, shape (M, 2)
     """
-    chord = curves.chords(markers)
-    normal = np.stack((chord[:, 1], -chord[:, 0]), axis=1)
-    normal /= np.hypot(*chord.T)[:, None]
-    spacing = np.hypot(normal[:, 0] * grid.dx, normal[:, 1] * grid.dy)
+    _, _, normal, spacing = _frames(curves, markers, grid)
     outward = curves.spread(
         np.sign(signed_area(markers, curves)) * np.sign(outer - inner[: curves.count]))
     return markers + (STRESS_SHIFT * outward * spacing)[:, None] * normal

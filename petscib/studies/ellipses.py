@@ -26,8 +26,8 @@ def ellipse_axes(reduced, perimeter):
     return ratio * long_axis, long_axis
 
 
-def even_markers(axes, cells, box=1.0):
-    """An even number of markers about h/2 apart: the vesicle is its own half turn, and stays so.
+def even_markers(axes, cells, box=1.0, spacing=0.5):
+    """An even number of markers: the vesicle is its own half turn, and stays so.
 
     Parameters
     ----------
@@ -36,5 +36,7 @@ def even_markers(axes, cells, box=1.0):
         Across the box.
     box : float
         Its half width.
+    spacing : float
+        About how many cells apart.
     """
-    return 2 * round(ellipse_perimeter(axes) / (2 * box / cells))
+    return 2 * round(ellipse_perimeter(axes) / (2 * spacing * 2 * box / cells))

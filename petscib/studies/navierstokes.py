@@ -16,7 +16,7 @@ from ..schemes.registry import SCHEMES
 from . import report
 from .campaign import Campaign
 from .convergence import rates
-from .ellipses import ellipse_axes
+from .ellipses import ellipse_axes, even_markers
 from .tanktreading import PERIMETER
 
 COLUMNS = ("part", "case", "scheme", "advection", "cells", "x", "quantity", "value", "rate",
@@ -206,10 +206,10 @@ def vesicles(campaign, reynolds, reduced_areas, grids, strain):
             for half, cells in ((1.0, grids[0]), (1.0, grids[-1]), (2.0, 2 * grids[0])):
                 box = (-half, half, -half, half)
                 # The middle is a saddle; point-symmetric markers keep the vesicle there.
-                markers = 2 * round(PERIMETER * cells / half / 2)
                 outcome = campaign.run(f"V {reduced:g} Re {number:g} box {half:g} {cells}^2", dict(
                     VESICLE, axes=axes, rho=number / (axes[0] * axes[1]), domain=box,
-                    markers=markers, stag_grid_x=cells, ts_dt=1 / 32, ts_max_time=strain))
+                    markers=even_markers(axes, cells, half), stag_grid_x=cells, ts_dt=1 / 32,
+                    ts_max_time=strain))
                 for quantity, name, scale in (("inclination / pi", "inclination", np.pi),
                                               ("frequency", "treading_frequency", 1.0)):
                     mean = outcome.mean(name, WINDOW) if outcome.finished else None

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..coupling.kernels import KERNELS
-from ..membranes.shapes import ellipse_perimeter
 from ..schemes.registry import SCHEMES
 from . import methods, report, runs
 from .campaign import Campaign
+from .ellipses import even_markers
 
 CELLS = 64
 H = 2 / CELLS
@@ -89,8 +89,8 @@ def cases():
         for power, quick in ((-4, True), (-2, False), (2, False), (4, True)):
             found.append(Case("fluid", f"{name} 1e{power}", {name: 10.0**power}, quick))
     for spacing, quick in ((0.2, True), (1, False), (2, True)):
-        count = 2 * round(ellipse_perimeter(AXES) / (2 * spacing * H))
-        found.append(Case("markers", f"spacing {spacing:g} h", dict(markers=count), quick))
+        found.append(Case("markers", f"spacing {spacing:g} h", dict(
+            markers=even_markers(AXES, CELLS, spacing=spacing)), quick))
     for count, quick in ((16, True), (32, False), (128, False), (256, False), (512, False),
                          (1024, False)):
         found.append(Case("grid", f"{count}^2", dict(stag_grid_x=count, ts_dt=2 / count), quick,
