@@ -12,6 +12,7 @@ SIGTERM.  Open MPI's launcher also kills its ranks when nobody reads what they p
 import importlib.util
 import os
 import re
+import select
 import shlex
 import shutil
 import signal
@@ -20,7 +21,7 @@ import subprocess
 import sys
 from contextlib import suppress
 from functools import lru_cache
-from threading import Thread
+from threading import Lock, Thread
 
 from .errors import InputError
 
@@ -42,7 +43,6 @@ _OPEN_MPI = {
     },
     6: {"PRTE_MCA_mapby": ":oversubscribe", "PRTE_MCA_bindto": "none"},
 }
-PATIENCE = 1.0  # seconds for the last words of a job, which a rank left behind may hold back
 _LIBRARY = ("import mpi4py; mpi4py.rc.initialize = False; from mpi4py import MPI; "
             "print(MPI.Get_library_version())")
 
@@ -131,13 +131,23 @@ class _Outlet:
         self._thread = None
         if stat.S_ISFIFO(os.fstat(target).st_mode):
             self._source, self.file = os.pipe()
+            os.set_blocking(self._source, False)
+            self._passing = Lock()
             self._thread = Thread(target=self._pass_on, daemon=True)
 
-    def _pass_on(self):
-        while words := os.read(self._source, 1 << 16):
-            with suppress(OSError):
-                while words:
-                    words = words[os.write(self._target, words):]
+    def _pass_on(self, patience=None):
+        """Until nobody can write any more, or nothing comes for so many seconds."""
+        while select.select([self._source], [], [], patience)[0]:
+            with self._passing:
+                try:
+                    words = os.read(self._source, 1 << 16)
+                except BlockingIOError:  # the other thread has them
+                    continue
+                if not words:
+                    return
+                with suppress(OSError):
+                    while words:
+                        words = words[os.write(self._target, words):]
 
     def begin(self):
         """Pass on, once the job has the other end."""
@@ -146,9 +156,9 @@ class _Outlet:
             self._thread.start()
 
     def finish(self):
-        """Wait for the last words."""
+        """Pass on what is left.  A rank left behind may hold the other end for ever."""
         if self._thread is not None:
-            self._thread.join(PATIENCE)
+            self._pass_on(0)
 
 
 def main(arguments):
