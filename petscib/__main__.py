@@ -16,7 +16,7 @@ def main(arguments=None):
     -------
     int
         Exit status, the same on every rank: 0, also after SIGUSR1; 2 for bad input; 3 when the
-        run failed; 130 and 143 when SIGINT and SIGTERM have stopped it.
+        run failed; 130, 143 and 129 when SIGINT, SIGTERM and SIGHUP have stopped it.
     """
     arguments = sys.argv[1:] if arguments is None else arguments
 
@@ -34,7 +34,9 @@ def main(arguments=None):
         on_root(world, lambda: sources.check(arguments))
         # PETSc would print its own help or version, rank by rank, before ours.
         words = [word for word in arguments if word not in version]
-        petsc.start([*words, "-help"] if topic == "petsc" else words)
+        if topic == "petsc":
+            words += ["-help", "-no_signal_handler"]  # it may be listened to no longer
+        petsc.start(words)
         console.protect()
         from petsc4py import PETSc
 

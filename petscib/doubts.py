@@ -6,6 +6,7 @@ from .alerts import TIME_STEP
 from .combinations import WIDEST_SPACING
 from .fluid import flows
 from .membranes import geometry
+from .output.rows import entry, largest
 from .schemes.registry import SCHEMES
 
 JUDGED = "area_error", "perimeter_error", "ledger_residual", "cfl"  # columns, by their largest
@@ -34,14 +35,12 @@ class Doubts:
     def __init__(self, settings, problem):
         self.settings, self.problem = settings, problem
         self.found = []
-        self._largest, self._first, self._last = {}, None, None
+        self._largest, self._first, self._last = dict.fromkeys(JUDGED, 0.0), None, None
 
     def note(self, row):
         """Take note of a row of diagnostics."""
-        for name, value in row.items():
-            kind = name.rstrip("_0123456789")
-            if kind in JUDGED and value is not None:
-                self._largest[kind] = max(value, self._largest.get(kind, 0.0))
+        for name in JUDGED:
+            self._largest[name] = largest((entry(row, name), self._largest[name]))
         self._first, self._last = self._first or row, row
 
     def end(self, state, said=()):
@@ -74,11 +73,11 @@ class Doubts:
         settings, found = self.settings, []
         first_order = self._is_first_order()
         better = "-scheme gcn or a smaller -ts_dt" if first_order else "a smaller -ts_dt"
-        if self._largest.get("area_error", 0.0) > DRIFT:
+        if not self._largest["area_error"] <= DRIFT:  # perhaps not a number
             keeps = better if settings.conserve_area else "-conserve_area"
             found.append(f"area off by {self._largest['area_error']:.1%}: {keeps}")
         inextensible = all(vesicle.rest_length is None for vesicle in settings.each_vesicle())
-        if inextensible and self._largest.get("perimeter_error", 0.0) > DRIFT:
+        if inextensible and not self._largest["perimeter_error"] <= DRIFT:
             stiff = max((vesicle.sigma0 for vesicle in settings.each_vesicle()), default=0.0)
             found.append(f"perimeter off by {self._largest['perimeter_error']:.1%}: {better}, or a "
                          f"-sigma0 above {stiff:g}")
@@ -108,13 +107,13 @@ class Doubts:
     def _numbers(self, said):
         """Of time step and ledger."""
         settings, found = self.settings, []
-        cfl, residual = (self._largest.get(name, 0.0) for name in ("cfl", "ledger_residual"))
+        cfl, residual = (self._largest[name] for name in ("cfl", "ledger_residual"))
         carried = settings.vesicles and settings.tether == 0
         if carried and self._is_first_order() and cfl > LARGEST_CFL and (
                 TIME_STEP not in said and settings.ts_rtol is None):
             found.append(f"CFL number up to {cfl:.2g} with a scheme of first order: -ts_dt "
                          f"{settings.ts_dt * LARGEST_CFL / cfl:.2g}, or -scheme gcn")
-        if residual > settings.ledger_tol:
+        if not residual <= settings.ledger_tol:
             found.append(f"energy ledger off by {residual:.1e}: {self._tolerances()}")
         return found
 

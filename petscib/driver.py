@@ -441,7 +441,7 @@ class Driver:
         self.ledger = energy.balance(self.problem, step)
         reached = energy.measure(self.problem, step.end).total
         residual = self.ledger.residual(max(self.progress.largest_energy, reached))
-        if residual > self.settings.ledger_tol and self.settings.ledger != "record":
+        if not residual <= self.settings.ledger_tol and self.settings.ledger != "record":
             trouble = (
                 f"the energy ledger of step {step.end.step} does not balance: residual "
                 f"{residual:.1e}, allowed {self.settings.ledger_tol:.1e}"

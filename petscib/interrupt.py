@@ -2,11 +2,11 @@
 
 import signal
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGUSR1)
 
 
 class Interrupt:
-    """Notes SIGINT, SIGTERM and SIGUSR1 inside a ``with`` block.  Not collective.
+    """Notes SIGINT, SIGTERM, SIGHUP and SIGUSR1 inside a ``with`` block.  Not collective.
 
     However often they come, the step is finished and the state saved: a launcher and a batch
     system may each send theirs.  Only a second Ctrl-C (SIGINT) ends the program at once.
@@ -26,7 +26,10 @@ class Interrupt:
         self._before = {}
 
     def __enter__(self):
-        self._before = {kind: signal.signal(kind, self._note) for kind in SIGNALS}
+        # SIGHUP says that the terminal has gone, and is ignored under ``nohup``.
+        kinds = [kind for kind in SIGNALS
+                 if kind != signal.SIGHUP or signal.getsignal(kind) != signal.SIG_IGN]
+        self._before = {kind: signal.signal(kind, self._note) for kind in kinds}
         return self
 
     def __exit__(self, *error):
@@ -44,4 +47,4 @@ class Interrupt:
 
 def exit_status(kind):
     """What a shell expects of a program that a signal stopped; SIGUSR1 is a plain request."""
-    return 128 + kind if kind in (signal.SIGINT, signal.SIGTERM) else 0
+    return 128 + kind if kind not in (0, signal.SIGUSR1) else 0

@@ -5,18 +5,23 @@ settings that our jobs want.  On Ctrl-C a launcher kills its ranks within a seco
 be less than a time step.  SIGUSR1 it passes on; petscib then finishes the step, saves a checkpoint
 and ends.  So the launcher gets a process group of its own, out of the terminal's reach, and this
 program turns the first SIGINT, SIGTERM or SIGHUP into SIGUSR1.  The second goes to the launcher as
-SIGTERM.
+SIGTERM.  Open MPI's launcher also kills its ranks when nobody reads what they print any more, as in
+``| head``.  So it writes to this program, which passes on what it can.
 """
 
 import importlib.util
 import os
 import re
+import select
 import shlex
 import shutil
 import signal
+import stat
 import subprocess
 import sys
+from contextlib import suppress
 from functools import lru_cache
+from threading import Lock, Thread
 
 from .errors import InputError
 
@@ -112,6 +117,50 @@ def environment():
     return {**settings, **os.environ}
 
 
+class _Outlet:
+    """Where a job writes: a file, or a pipe of which this program passes on what comes.
+
+    Parameters
+    ----------
+    target : int
+        The file descriptor where it shall go; a pipe may lose its reader.
+    """
+
+    def __init__(self, target):
+        self.file = self._target = target
+        self._thread = None
+        if stat.S_ISFIFO(os.fstat(target).st_mode):
+            self._source, self.file = os.pipe()
+            os.set_blocking(self._source, False)
+            self._passing = Lock()
+            self._thread = Thread(target=self._pass_on, daemon=True)
+
+    def _pass_on(self, patience=None):
+        """Until nobody can write any more, or nothing comes for so many seconds."""
+        while select.select([self._source], [], [], patience)[0]:
+            with self._passing:
+                try:
+                    words = os.read(self._source, 1 << 16)
+                except BlockingIOError:  # the other thread has them
+                    continue
+                if not words:
+                    return
+                with suppress(OSError):
+                    while words:
+                        words = words[os.write(self._target, words):]
+
+    def begin(self):
+        """Pass on, once the job has the other end."""
+        if self._thread is not None:
+            os.close(self.file)
+            self._thread.start()
+
+    def finish(self):
+        """Pass on what is left.  A rank left behind may hold the other end for ever."""
+        if self._thread is not None:
+            self._pass_on(0)
+
+
 def main(arguments):
     """Start a job; its exit status, or 128 + the number of the signal that stopped it.
 
@@ -126,9 +175,11 @@ def main(arguments):
         asked.append(kind)  # first, as the next signal may come any time
         job.send_signal(signal.SIGTERM if len(asked) > 1 else signal.SIGUSR1)
 
+    outlets = [_Outlet(stream.fileno()) for stream in (sys.stdout, sys.stderr)]
     try:
         command = launcher()
         job = subprocess.Popen([*command, *arguments], stdin=subprocess.DEVNULL,
+                               stdout=outlets[0].file, stderr=outlets[1].file,
                                env=environment(), preexec_fn=os.setpgrp)
     except InputError as error:
         print(f"petscib: {error}", file=sys.stderr)
@@ -137,10 +188,14 @@ def main(arguments):
         print(f"petscib: cannot start {command[0]}: {error.strerror}; MPIEXEC={command[0]} should "
               "name the launcher of mpi4py's MPI", file=sys.stderr)
         return InputError.exit_status
+    for outlet in outlets:
+        outlet.begin()
     for kind in SIGNALS:
         signal.signal(kind, stop)
     signal.signal(signal.SIGUSR1, lambda kind, frame: job.send_signal(kind))
     status = job.wait()
+    for outlet in outlets:
+        outlet.finish()
     if asked and (status == 0 or len(asked) > 1):  # of a job killed, the launcher's own says little
         return 128 + asked[0]
     return status if status >= 0 else 128 - status

@@ -59,12 +59,17 @@ class Simulation:
         from . import installation, uncaught
         from .driver import Driver
         from .errors import InputError
+        from .output import console
+        from .settings import NOWHERE
 
+        console.take_pipes_back()
         self.comm = MPI.COMM_WORLD if comm is None else comm
         uncaught.end_the_job(self.comm)
         installation.check()
         self._driver, self._calls, self._table = None, [], {}
         self.settings, scene, entries = self._read(arguments or [], options)
+        if self.settings.output != NOWHERE:
+            console.protect()  # a run that leaves files need not be heard
         named = {**scene.measures, **(measures or {})}
         for name, measure in named.items():
             if not callable(measure):

@@ -183,7 +183,7 @@ def ending(*kinds):
 def test_only_a_second_ctrl_c_ends_at_once():
     assert ending(signal.SIGINT) == 0
     assert ending(signal.SIGINT, signal.SIGINT) == signal.SIGINT
-    assert ending(*[signal.SIGTERM, signal.SIGUSR1] * 3, signal.SIGINT) == 0
+    assert ending(*[signal.SIGTERM, signal.SIGHUP, signal.SIGUSR1] * 3, signal.SIGINT) == 0
 
 
 # --- the disk

@@ -1,7 +1,4 @@
-"""Functions and points of a script's, the body force made of them, and streams nobody reads."""
-import os
-import signal
-
+"""Functions and points of a script's, and the body force made of them."""
 import dense
 import numpy as np
 import pytest
@@ -11,7 +8,6 @@ from petscib.fluid.body_force import BodyForce
 from petscib.fluid.grid import Grid
 from petscib.fluid.operators import Operators
 from petscib.fluid.sides import Sides
-from petscib.output.console import Console
 from petscib.own import Function, Points, is_own
 
 
@@ -66,21 +62,3 @@ def test_a_body_force_is_on_all_faces_but_those_of_walls():
         expected = np.concatenate(((time * x * y).ravel(), (time + x_v - y_v).ravel())) * inner
         np.testing.assert_allclose(dense.velocity(grid, moving.at(time)), expected, atol=1e-14)
         assert moving.at(time) is moving.at(time)
-
-
-def test_a_stream_whose_reader_has_gone_falls_silent():
-    before = signal.signal(signal.SIGPIPE, signal.SIG_IGN)
-    try:
-        read, write = os.pipe()
-        console = Console(os.fdopen(write, "w"))
-        console.write("heard\n")
-        console.flush()
-        assert os.read(read, 100) == b"heard\n"
-        os.close(read)
-        for _ in range(2):
-            console.write("not heard\n")
-            console.flush()
-        assert console.writable()  # all else is the stream's
-        console.close()
-    finally:
-        signal.signal(signal.SIGPIPE, before)

@@ -131,8 +131,8 @@ class Case:
         return (dense.velocity(self.grid, stage.velocity),
                 dense.pressure(self.grid, stage.pressure), comm.bcast(motion), force)
 
-    def exact(self, equations, turn=0.02):
-        """The same by one dense solve."""
+    def exact(self, equations, turn=0.02, advection=None):
+        """The same by one dense solve; with a matrix of advection added to the fluid's."""
         grid, kink = self.grid, self.problem.kink_correction
         first, (end, middle) = 0, (self.turned(turn), (self.markers + self.turned(turn)) / 2)
         slips, stiffnesses, forces, projectors = [], [], [], []
@@ -161,11 +161,14 @@ class Case:
         carry = projector @ dense.interpolation(grid, self.problem.kernel, middle)
         walls = dense.velocity(grid, self.state.velocity)[~dense.inner_faces(grid)]
         rhs, comm, found = dense.velocity(grid, self.rhs), grid.comm.tompi4py(), None
+        if advection is None:
+            advection = np.zeros((len(rhs), len(rhs)))
+        rhs = rhs - advection[:, ~dense.inner_faces(grid)] @ walls
         if comm.rank == 0:  # as the ranks share the processors
             found = dense.stage(
                 grid, RHO / self.interval, MU, rhs, walls, carry, slip,
                 self.interval * block_diag(*stiffnesses), np.concatenate(forces),
-                equations == "coupled")
+                equations == "coupled", advection)
         w, p, f = comm.bcast(found)
         return w, p, (carry @ w + slip @ f).reshape(-1, 2), f.reshape(-1, 2)
 

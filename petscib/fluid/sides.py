@@ -10,7 +10,7 @@ from .flows import velocity
 
 # By name: the direction across (0: x) and the end of it (0: first, -1: last).
 WALLS = {"left": (0, 0), "right": (0, -1), "bottom": (1, 0), "top": (1, -1)}
-
+OUTWARDS = {0: -1, -1: 1}  # by the end, the sign of a velocity out of the box
 
 # Of a smooth flow through 24 cells the midpoint rule misses some 1e-3.
 LARGEST_FLUX = 1e-2
@@ -74,7 +74,7 @@ class Sides:
         for side, normal in self.normal.items():
             direction, end = WALLS[side]
             spacing = grid.dx if direction else grid.dy
-            flux += (-1 if end == 0 else 1) * normal.sum() * spacing
+            flux += OUTWARDS[end] * normal.sum() * spacing
             size += np.abs(normal).sum() * spacing
         if abs(flux) > LARGEST_FLUX * size:
             raise self.flow.refused(
@@ -82,7 +82,7 @@ class Sides:
                 "a flow without divergence")
         for side, normal in self.normal.items():
             if size:
-                normal -= (-1 if WALLS[side][1] == 0 else 1) * flux / size * np.abs(normal)
+                normal -= OUTWARDS[WALLS[side][1]] * flux / size * np.abs(normal)
 
     def fill(self, vector):
         """Set `vector` to the background flow on all faces.  Collective."""

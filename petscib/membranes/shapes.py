@@ -2,7 +2,10 @@
 
 import numpy as np
 
-PANELS = 4096  # at least, for the quadrature of a length
+# At least, for the quadrature of a length.  With half and twice as many, lengths and places of
+# markers are the same to 1e-13 (an ellipse 1000 times as long as wide, a line with an amplitude of
+# 5 times its length), and with a quarter the ellipse's begin to differ.  It takes 7 ms a curve.
+PANELS = 4096
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 
 

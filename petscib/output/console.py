@@ -7,6 +7,7 @@ are in its folder.
 import os
 import signal
 import sys
+from contextlib import suppress
 
 
 class Console:
@@ -39,12 +40,26 @@ class Console:
             nowhere = os.open(os.devnull, os.O_WRONLY)
             os.dup2(nowhere, self._stream.fileno())
             os.close(nowhere)
+            return None
+
+
+def take_pipes_back():
+    """Let writing to a pipe whose reader has gone be what it was to Python, an exception.
+
+    PETSc, once started, ends the program there, and its whole job.
+    """
+    with suppress(ValueError):  # Python lets its main thread alone do this
+        signal.signal(signal.SIGPIPE, signal.getsignal(signal.SIGPIPE))
+
+
+def is_heard(stream):
+    """Whether what has been written to a stream arrives; else it falls silent."""
+    return Console(stream)._try(lambda: stream.flush() or True) is not None
 
 
 def protect():
     """Let standard output and error be such streams."""
-    # PETSc, once started, would end the program at a pipe whose reader has gone.
-    signal.signal(signal.SIGPIPE, signal.SIG_IGN)
+    take_pipes_back()
     sys.stdout, sys.stderr = (
         stream if isinstance(stream, Console) else Console(stream)
         for stream in (sys.stdout, sys.stderr)

@@ -20,6 +20,11 @@ def entries(row, name):
 
 def entry(row, name):
     """The entry of a column; with several vesicles the largest in size; None if there is none."""
-    values = [value for value in entries(row, name) if value is not None]
+    return largest(entries(row, name))
+
+
+def largest(values):
+    """The largest in size, None left out; None if there is none."""
     # A NaN is worse than any number and must not hide behind one.
-    return max(values, key=lambda v: math.inf if math.isnan(v) else abs(v), default=None)
+    return max((value for value in values if value is not None),
+               key=lambda v: math.inf if math.isnan(v) else abs(v), default=None)

@@ -214,7 +214,7 @@ def _draw_outlines(axis, outlines):
 
 
 def _draw_outline(axis, X, colour, star=0):
-    """An outline from `_to_its_end`, with a star of some size at marker 0."""
+    """An outline from `saved`, with a star of some size at marker 0."""
     axis.plot(*X.T, color=colour, linewidth=1.6)
     if star:
         axis.plot(*X[0], marker="*", markersize=star, color=MARKED_POINT, markeredgewidth=0)
