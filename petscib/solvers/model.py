@@ -152,7 +152,7 @@ class MarkerModel:
         self._short = curves.spread(np.broadcast_to(
             mu if short is None else short, curves.count))
         self.direct = Cholesky(prefix)
-        self._overlap = Overlap(grid, curves)
+        self._overlap = Overlap(grid)
         self._interval = None
         self.forget()
         self._h = h = np.sqrt(grid.dx * grid.dy)
