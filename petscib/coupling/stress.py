@@ -106,11 +106,15 @@ class CorrectedInterpolation:
     """
 
     def __init__(self, plain, slip):
-        self.plain, self.stresses, self.stencil = plain, plain.stresses, plain.stencil
+        self.plain, self.stresses = plain, plain.stresses
         t, n = slip.tangent, slip.normal
         self._shear = np.stack((t[:, 0] * n[:, 0], t[:, 1] * n[:, 1],
                                 t[:, 0] * n[:, 1] + t[:, 1] * n[:, 0]), axis=1)
         self._along = slip.per_stress[:, None] * t
+
+    def on_root(self):
+        """J as a scipy matrix, as in Interpolation."""
+        return self.plain.on_root()
 
     def interpolate(self, velocity):
         """J' u: (M, 2) on rank 0, (0, 2) elsewhere."""

@@ -62,7 +62,8 @@ class Cholesky:
         if self.ksp.getPC().getFactorSolverType() == "petsc":  # which orders only whole matrices
             matrix = _whole(matrix)
         csr = matrix.indptr, matrix.indices, matrix.data
-        if self._matrix is None or not all(map(np.array_equal, self._places, csr[:2])):
+        if self._matrix is None or not all(
+                new is old or np.array_equal(new, old) for new, old in zip(csr, self._places)):
             self._release()
             create = PETSc.Mat().createSBAIJ
             if self.ksp.getPC().getFactorSolverType() == "petsc":

@@ -156,9 +156,9 @@ class Force(Iteration):
         changed = self.fluid.update(interval)
         self.interval, self.operators, self._stage_velocity = interval, operators, None
         self._free = stress / interval
+        self._place(operators.interpolation, changed)
         with phase("marker model"):
             self.model.update(interval, operators)
-        self._place(operators.interpolation, changed)
         self._operator.changed()
         self.ksp.setOperators(self._operator.matrix)
 

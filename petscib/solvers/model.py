@@ -152,7 +152,7 @@ class MarkerModel:
         self._short = curves.spread(np.broadcast_to(
             mu if short is None else short, curves.count))
         self.direct = Cholesky(prefix)
-        self._overlap = Overlap(grid)
+        self._overlap = Overlap(grid.cell_area)
         self._interval = None
         self.forget()
         self._h = h = np.sqrt(grid.dx * grid.dy)
@@ -208,7 +208,7 @@ class MarkerModel:
         elif self._rates is not None and abs(rates - self._rates).max() <= KEPT * abs(rates).max():
             return
         self._rates = rates
-        if self._overlap.update(operators.interpolation.stencil) or self._order is None:
+        if self._overlap.update(operators.interpolation.on_root()) or self._order is None:
             self._lay_out(operators.rates)
         carried = self._carried.values(
             rates, self._overlap.values(self._answer, operators.slip))

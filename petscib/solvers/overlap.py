@@ -18,7 +18,8 @@ class Overlap:
 
     Parameters
     ----------
-    grid : Grid
+    area : float
+        dx dy.
 
     Attributes
     ----------
@@ -26,29 +27,17 @@ class Overlap:
         With an entry at every place, in the order of the values.
     """
 
-    def __init__(self, grid):
-        self._area, self._faces, self._tables = grid.cell_area, 0, []
-        for index in (grid.u_index, grid.v_index):
-            last = self._faces + index.size
-            self._tables.append(np.arange(self._faces, last).reshape(index.shape))
-            self._faces = last
+    def __init__(self, area):
+        self._area = area
         self.forget()
 
     def forget(self):
         """Choose the places at the next update."""
         self.places = None
 
-    def update(self, stencil):
-        """Take the markers' faces and weights.  Returns whether the places are others.
-
-        Parameters
-        ----------
-        stencil : Stencil
-        """
-        starts, columns, weights = stencil.csr(*self._tables)
-        rows = len(starts) - 1
-        matrix = csr_matrix((weights, columns, starts), (rows, self._faces))
-        product = matrix @ matrix.T
+    def update(self, interpolation):
+        """Take J, a csr_matrix with 2 M rows.  Returns whether the places are others."""
+        rows, product = interpolation.shape[0], interpolation @ interpolation.T
         row, column = np.repeat(np.arange(rows), np.diff(product.indptr)), product.indices
         shared, diagonal = product.data / self._area, product.diagonal() / self._area
         new = self.places is None
