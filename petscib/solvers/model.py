@@ -15,12 +15,12 @@ s2 the variance of the kernel, this is exp(-s2 h^2 k^2) R(k) / ds with
 
     R(k) = erfcx(sqrt(s2) h kappa) / (2 mu kappa),    kappa^2 = k^2 + rho / (mu theta dt).
 
-R is fitted by one pole, c / (p^2 + k^2), and the exponential is the square of the kernel sampled
-along the curve, Phi.  What it passes on is smooth, so that *stations* along it do that lie less
-densely than markers; Phi interpolates between both.  This treats each wave by itself, while waves
-that the grid cannot tell from each other answer as one: those of markers that lie half a cell apart
-are shorter than two cells.  For them A^{-1} is about a number, alpha = 1 / (rho / (theta dt) +
-4 mu / h^2), that of a wave along the grid of the shortest kind, and H about
+R is fitted roughly by one pole, c / (p^2 + k^2), and the exponential is the square of the kernel
+sampled along the curve, Phi.  What it passes on is smooth, so that *stations* along it do that lie
+less densely than markers; Phi interpolates between both.  This treats each wave by itself, while
+waves that the grid cannot tell from each other answer as one: markers that lie half a cell apart
+carry waves shorter than two cells.  For them A^{-1} is about a number,
+alpha = 1 / (rho / (theta dt) + LOCAL mu / h^2), and H about
 
     L = alpha J J^T / (dx dy),
 
@@ -42,7 +42,14 @@ from .cholesky import Cholesky
 from .overlap import Overlap
 from .product import Product
 
-# Distance in cells of the stations where the pole's unknowns are.
+# h^2 / mu times the viscous friction of the waves that L answers for.  With 6, 4 and 3 steps take
+# as many iterations but for one to three (yang and bspline43, 64^2 and 128^2, mbe and be, dt of h
+# and 4 h, sigma0 = 1e9, bending 0.01).  A second pole beside it saves up to three with yang, and
+# adds up to ten to 17 with bspline43.
+LOCAL = 4
+
+# Distance in cells of the stations where the pole's unknowns are.  At 1 and at 1.25 there are as
+# many iterations, at 1.5 up to two more (same runs).
 STATIONS = 1.25
 
 # Samples of the kernel between two stations.
@@ -146,11 +153,12 @@ class MarkerModel:
 
     def __init__(self, curves, grid, kernel, rho, mu, share, prefix, short=None):
         self.curves, self.rho, self.share = curves, rho, share
-        # The poles are fitted to the mean viscosity; each curve's block is scaled by its own.
+        # The pole is fitted to the mean viscosity; each curve's block is scaled by its own.
         self.mu = np.mean(mu)
         self._softer = 0.0 if short is None else np.mean(mu / short) - 1
-        self._short = curves.spread(np.broadcast_to(
-            mu if short is None else short, curves.count))
+        if curves.count:
+            self._short = curves.spread(
+                np.broadcast_to(mu if short is None else short, curves.count))
         self.direct = Cholesky(prefix)
         self._overlap = Overlap(grid.cell_area)
         self._interval = None
@@ -177,10 +185,10 @@ class MarkerModel:
         symbol *= 1 + self._softer * short / (short + LAYER)
         pole = np.hypot(2 * np.pi / self._longest, np.sqrt(decay))
         weight = fit_pole(self._wavenumbers, symbol, pole)
-        self._block = triu(
-            self._scale @ (self._second - pole**2 * identity(self._second.shape[0])) / weight, format="csr")
+        block = self._second - pole**2 * identity(self._second.shape[0])
+        self._block = triu(self._scale @ block / weight, format="csr")
         # Square root of alpha, at each marker.
-        self._answer = 1 / np.sqrt(self.rho / interval + 4 * self._short / self._h**2)
+        self._answer = 1 / np.sqrt(self.rho / interval + LOCAL * self._short / self._h**2)
         self._interval = interval
 
     def forget(self):
