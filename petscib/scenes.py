@@ -126,12 +126,12 @@ _SCENES = (
     ),
     Scene(
         "suspension",
-        "24 vesicles between sheared walls, in a box periodic along them",
+        "12 vesicles between sheared walls, in a box periodic along them",
         dict(flow="shear", shear_rate=1.0, domain=(0.0, 4.0, -1.0, 1.0), periodic="x",
-             stag_grid_x=128, arrangement="random", seed=1, vesicles=24, axes=(0.12, 0.2),
-             sigma0=1e4, bending=0.01, contact=100.0, scheme="gbe", delta="bspline43",
+             stag_grid_x=192, arrangement="random", seed=1, vesicles=12, axes=(0.17, 0.28),
+             sigma0=1e4, bending=0.01, contact=100.0, scheme="gcn", delta="bspline43",
              ts_max_time=4.0),
-        cfl=1.0,
+        cfl=2.0,
     ),
     Scene(
         "settling",

@@ -15,7 +15,7 @@ from petscib.errors import InputError, SolveError
 from petscib.fluid.advection import LARGEST_CFL, Advection
 from petscib.fluid.flows import FLOWS
 from petscib.stepsize import StepSize
-from petscib.studies import navierstokes
+from petscib.studies import cylinder, navierstokes
 from petscib.studies.campaign import Campaign
 
 comm = MPI.COMM_WORLD
@@ -501,13 +501,18 @@ def test_a_method_for_symmetric_systems_is_refused(tmp_path, scheme, word):
         fft="yes")
 
 
-# ---------------------------------------------------------------- the study
+# ---------------------------------------------------------------- the studies
 
 
-def test_the_study_makes_its_tables(tmp_path, monkeypatch):
+@pytest.fixture
+def no_launcher(monkeypatch):
+    """Leave no launcher's variables to processes that studies start."""
     for name in list(os.environ):
         if name.startswith(("OMPI_", "PRTE_")):
             monkeypatch.delenv(name)
+
+
+def test_the_study_makes_its_tables(tmp_path, monkeypatch, no_launcher):
     monkeypatch.setattr(navierstokes, "TREATMENTS", ("implicit",))
     monkeypatch.setattr(navierstokes, "TIMED", {"vortices": ("cn",), "vesicle": ("gcn",)})
     monkeypatch.setattr(navierstokes, "CAVITY_TIMES", {100: 4.0})
@@ -532,3 +537,22 @@ def test_the_studys_extremes_and_spreads():
                for box, cells, value in ((1, 48, 0.2), (1, 96, 0.21), (2, 96, 0.23))]
     assert navierstokes.spread(records, 0.7, 1.0, "frequency") == (0.21, 0.2, 0.23)
     assert navierstokes.spread(records, 0.9, 1.0, "frequency") is None
+
+
+def test_the_cylinders_study(tmp_path, no_launcher):
+    one = Campaign("cylinder", str(tmp_path))
+    steady, shedding = cylinder.study(
+        one, ((40, "12 x 8", 4, 5), (100, "12 x 8", 4, 5)), end={40: 4.0, 100: 1.0})
+    assert one.exit_status == 0
+    assert 1.5 < steady["drag"] < 3.0 and abs(steady["lift"]) < 0.1
+    assert np.isnan(shedding["strouhal"]) and abs(shedding["lift"]) > 1e-3
+    assert "| 40 | 12 x 8 | 4 | 0.2 |" in open(one.path("cylinder.md")).read()
+    with open(one.path("cylinder.png"), "rb") as file:
+        assert file.read(4) == b"\x89PNG"
+
+
+def test_the_frequency_of_shedding():
+    time = np.linspace(0.0, 10.0, 300)
+    assert cylinder.frequency(time, 0.2 + np.sin(2 * np.pi * 0.7 * time)) == pytest.approx(
+        0.7, rel=1e-3)
+    assert np.isnan(cylinder.frequency(time, time))

@@ -112,8 +112,8 @@ def test_ctrl_c_is_turned_into_a_request():
 
 
 def test_a_second_ctrl_c_ends_the_job():
-    script = ("import signal, time; signal.signal(signal.SIGUSR1, lambda *a: print('asked', "
-              "flush=True)); print('ready', flush=True); time.sleep(30)")
+    script = ("import os, signal, time; signal.signal(signal.SIGUSR1, lambda *a: os.write(1, "
+              "b'asked\\n')); os.write(1, b'ready\\n'); time.sleep(30)")
     process = subprocess.Popen([sys.executable, "-m", "petscib.launch", "-c", script],
                                stdout=subprocess.PIPE, env=mpi_environment(MPIEXEC=sys.executable))
     for _ in range(2):

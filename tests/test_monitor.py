@@ -215,7 +215,7 @@ def test_unknown_monitor_is_refused():
 def test_closing_lines():
     summary = {
         "last_row": row(200, inclination=0.39269908, treading_frequency=0.15034),
-        "steps": 100, "total_seconds": 2.8, "output": "out/tanktreading",
+        "steps": 100, "total_seconds": 2.8, "output": "out/none",
         "phase_seconds": {"set-up": 0.3, "diagnostics": 0.2},
         "options": {"flow": "shear", "shear_rate": 1.0},
     }
@@ -225,8 +225,8 @@ def test_closing_lines():
         "area error          -1.200e-04",
         "perimeter error     3.400e-08",
         "seconds per step    0.025 (100 steps in 2.5 s, after 0.3 s of set-up)",
-        "results in          out/tanktreading",
-        "look at             out/tanktreading/diagnostics.csv",
+        "results in          out/none",
+        "look at             out/none/diagnostics.csv",
     ]
     summary["options"]["flow"] = "rest"
     assert closing_lines(summary)[0].startswith("area error")
@@ -234,9 +234,9 @@ def test_closing_lines():
 
 def test_closing_lines_without_vesicle_or_steps():
     last_row = {"step": 0, "area_error": None, "inclination": None, "treading_frequency": None}
-    summary = {"last_row": last_row, "steps": 0, "total_seconds": 0.1, "output": "out/driven"}
+    summary = {"last_row": last_row, "steps": 0, "total_seconds": 0.1, "output": "out/none"}
     assert closing_lines(summary) == [
-        "results in          out/driven", "look at             out/driven/diagnostics.csv"]
+        "results in          out/none", "look at             out/none/diagnostics.csv"]
     assert closing_lines({}) == []
 
 

@@ -49,8 +49,9 @@ class Varying:
         super().__init__(operators, rho, viscosity.outer, transform, advection)
         self.viscosity = viscosity
         self.defaults = {**self.defaults, "ksp_max_it": 1000}
-        if self.fast:  # the energy law to 1e-8, as where transforms solve exactly (see `force`)
-            self.defaults["ksp_rtol"] = 1e-10
+        # The energy law to 1e-8; with 1e-10 it held to 1.4e-8 in one case of `studies.stability`.
+        if self.fast:
+            self.defaults["ksp_rtol"] = 1e-11
         if transform is not None:
             self.defaults["pc_type"] = "python"
         grid = self.grid

@@ -8,8 +8,8 @@ import sys
 from .campaign import add_options
 
 STUDIES = ("truth", "defaults", "tolerance", "workprecision", "convergence", "maxstep", "cputime",
-           "tanktreading", "stability", "iterations", "navierstokes", "vesicles",
-           "contrast", "gallery")
+           "tanktreading", "stability", "iterations", "navierstokes", "cylinder",
+           "vesicles", "contrast", "gallery")
 
 
 def main(arguments=None):

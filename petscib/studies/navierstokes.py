@@ -130,7 +130,8 @@ def in_time(campaign, sizes):
     records, finest = [], 4 * max(sizes)
     cases = {
         "vortices": (dict(VORTICES, stag_grid_x=64, ts_max_time=1.0), "u"),
-        "vesicle": (dict(VESICLE, stag_grid_x=32, ts_max_time=1.0), "X"),
+        # At the scene's sigma0 of 1e5 steps resolve no elastic waves, which gcn does not damp.
+        "vesicle": (dict(VESICLE, stag_grid_x=32, sigma0=1e3, ts_max_time=1.0), "X"),
     }
     for case, (options, quantity) in cases.items():
         for scheme in TIMED[case]:
