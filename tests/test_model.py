@@ -7,6 +7,7 @@ from scipy.linalg import block_diag
 from scipy.sparse import csr_matrix, random
 
 from petscib import entries
+from petscib.coupling.interpolation import Interpolation
 from petscib.coupling.kernels import KERNELS
 from petscib.fluid.grid import Grid
 from petscib.membranes import shapes
@@ -14,10 +15,11 @@ from petscib.membranes.curves import Curves
 from petscib.membranes.laws import Bending, Tension
 from petscib.membranes.membranes import Membranes
 from petscib.membranes.mobility import AreaProjector, Slip
-from petscib.solvers import model
+from petscib.solvers import model, overlap
 from petscib.solvers.cholesky import Cholesky
 from petscib.solvers.markers import MarkerOperators
-from petscib.solvers.model import MarkerModel, StressMatrix, fit_poles
+from petscib.solvers.model import MarkerModel, StressMatrix, fit_pole
+from petscib.solvers.overlap import Overlap
 from petscib.solvers.product import Product
 
 INTERVAL, RHO, MU = 0.02, 1.3, 0.7
@@ -151,11 +153,14 @@ class Case:
         laws = [Tension(self.curves, sigma0, rest), Bending(self.curves, 0.02)]
         self.membranes = Membranes(3, self.curves, laws, rest)
 
-    def operators(self, turn=0.0):
+    def markers(self, turn):
         markers = np.concatenate(self.parts)
-        turned = markers @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+        return markers @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+
+    def operators(self, turn=0.0):
+        markers, turned = self.markers(0.0), self.markers(turn)
         return MarkerOperators(
-            None, self.membranes.rates(markers, turned),
+            Interpolation(self.grid, self.kernel, turned), self.membranes.rates(markers, turned),
             Slip(self.curves, turned, self.grid, self.kernel, MU),
             AreaProjector(self.curves, turned))
 
@@ -199,9 +204,15 @@ def symbol_by_quadrature(kernel, h, k, interval, share):
         / (MU * (one**2 + q**2) + RHO / interval), -np.inf, np.inf)[0] for one in k])
 
 
+def common_faces(case, turn):
+    """J J^T / (dx dy) as a dense matrix."""
+    table = dense.interpolation(case.grid, case.kernel, case.markers(turn))
+    return table @ table.T / case.grid.cell_area
+
+
 @pytest.mark.parametrize("name", ["yang", "bspline43"])
 def test_model_is_its_formula(name):
-    """Poles, sampled kernel and second differences of each curve as dense matrices.
+    """Pole, sampled kernel, second differences and the markers' common faces as dense matrices.
 
     The grid is so coarse that two of the curves have fewer stations than markers.
     """
@@ -213,7 +224,7 @@ def test_model_is_its_formula(name):
     k = np.geomspace(2 * np.pi / 2.0, 3 / h, 60)
     symbol = symbol_by_quadrature(case.kernel, h, k, INTERVAL, share)
     low = np.hypot(np.pi, np.sqrt(RHO / (MU * INTERVAL)))
-    poles, weights = fit_poles(k, symbol, low, max(2 / h, 2 * low))
+    weight = fit_pole(k, symbol, low)
     answers = []
     for count, ds, closed in zip(COUNTS, SPACINGS, CLOSED):
         length = count * ds if closed else (count - 1) * ds
@@ -221,18 +232,22 @@ def test_model_is_its_formula(name):
         spacing = length / (stations if closed else stations - 1)
         apart = np.arange(count)[:, None] * ds - np.arange(stations) * spacing
         images = [apart + n * length for n in (-2, -1, 0, 1, 2)] if closed else [apart]
-        r = np.array(images) / h
-        sampled = (case.kernel.along(r) + case.kernel.across(r)).sum(axis=0)
+        # Linear between stations: each stands for a hat of its samples.
+        sampled = 0.0
+        for number in range(1 - model.SAMPLES, model.SAMPLES):
+            r = (np.array(images) + spacing * number / model.SAMPLES) / h
+            here = (case.kernel.along(r) + case.kernel.across(r)).sum(axis=0)
+            sampled = sampled + (1 - abs(number) / model.SAMPLES) * here
         sampled /= sampled.sum(axis=1, keepdims=True)
         difference = dense.to_half_points(stations, spacing)
         second = -difference.T @ difference
         if not closed:
             second = -difference[1:].T @ difference[1:]
-        inverses = sum(c * np.linalg.inv(p**2 * np.eye(stations) - second)
-                       for c, p in zip(weights, poles))
-        answers.append(np.kron(sampled @ inverses @ sampled.T / spacing, np.eye(2)))
+        inverse = weight * np.linalg.inv(low**2 * np.eye(stations) - second)
+        answers.append(np.kron(sampled @ inverse @ sampled.T / spacing, np.eye(2)))
     rates = operators.rates.toarray()
-    mobility = block_diag(*answers) + slip_matrix(operators.slip)
+    local = common_faces(case, 0.2) / (RHO / INTERVAL + 4 * MU / h**2)
+    mobility = block_diag(*answers) + local + slip_matrix(operators.slip)
     expected = np.eye(len(rates)) / INTERVAL + rates @ mobility @ rates.T
     rhs = np.random.default_rng(8).standard_normal(len(rates))
     found = tool.solve(rhs)
@@ -241,27 +256,66 @@ def test_model_is_its_formula(name):
     tool.destroy()
 
 
-@pytest.mark.parametrize("interval, factor", [(0.003, 1.2), (0.03, 1.5), (0.5, 1.7)])
+@pytest.mark.parametrize("interval, factor", [(0.003, 2.0), (0.03, 3.5), (0.5, 4.5)])
 @pytest.mark.parametrize("share", [0.5, 1.0])
-def test_poles_fit_the_symbol(interval, factor, share):
-    """Of every wavenumber from the longest to what the kernel hardly passes."""
+def test_the_pole_fits_the_symbol(interval, factor, share):
+    """Roughly, of every wavenumber from the longest to what the kernel hardly passes."""
     h = 2 / 128
     k = np.geomspace(2 * np.pi / 2.0, 2 / h, 40)
     symbol = symbol_by_quadrature(KERNELS["yang"], h, k, interval, share)
-    low = np.hypot(np.pi, np.sqrt(RHO / (MU * interval)))
-    poles, weights = fit_poles(k, symbol, low, 2 / h)
-    assert (weights > 0).all() and len(poles) <= model.POLES
-    fitted = (weights / (poles**2 + k[:, None] ** 2)).sum(axis=1)
-    assert 1 / factor <= (fitted / symbol).min() and (fitted / symbol).max() <= factor
+    pole = np.hypot(np.pi, np.sqrt(RHO / (MU * interval)))
+    ratio = fit_pole(k, symbol, pole) / (pole**2 + k**2) / symbol
+    assert 1 / factor <= ratio.min() and ratio.max() <= factor
 
 
-def test_poles_fit_themselves():
+def test_the_pole_fits_itself():
     k = np.geomspace(1.0, 100.0, 30)
-    poles = np.geomspace(2.0, 80.0, model.POLES)
-    symbol = (np.arange(1, model.POLES + 1) / (poles**2 + k[:, None] ** 2)).sum(axis=1)
-    found, weights = fit_poles(k, symbol, 2.0, 80.0)
-    np.testing.assert_allclose(found, poles)
-    np.testing.assert_allclose(weights, np.arange(1, model.POLES + 1), rtol=1e-9)
+    assert fit_pole(k, 3.0 / (2.0**2 + k**2), 2.0) == pytest.approx(3.0, rel=1e-12)
+
+
+# ---------------------------------------------------------------- common faces
+
+
+def places_at(case, turn, tool):
+    """Whether the places are others there, and the matrix for a = 1."""
+    operators = case.operators(turn)
+    new = tool.update(operators.interpolation.on_root())
+    values = tool.values(np.ones(sum(COUNTS)), operators.slip)
+    found = csr_matrix((values, tool.places.indices, tool.places.indptr), tool.places.shape)
+    return new, found.toarray() - slip_matrix(operators.slip)
+
+
+@pytest.mark.parametrize("name", ["yang", "bspline43"])
+def test_what_markers_share(name):
+    """Also those of different curves, and where the box is periodic."""
+    case = Case(name)
+    case.grid = Grid((24, 20), (-1.5, 1.5, -1.0, 1.0), periodic=(True, False))
+    case.parts = [part + (0.9, 0.0) for part in case.parts]  # two of them across the right edge
+    new, found = places_at(case, 0.0, Overlap(case.grid.cell_area))
+    expected = common_faces(case, 0.0)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13 * expected.max())
+    assert new and expected[: 2 * COUNTS[0], -2 * COUNTS[2] :].any()
+
+
+def test_next_to_nothing_is_left_out_in_a_safe_way():
+    """Places are kept as long as they do, and what has none is made up for on the diagonal."""
+    case = Case("bspline43")
+    tool = Overlap(case.grid.cell_area)
+    assert places_at(case, 0.0, tool)[0]
+    kept, left_out = 0, False
+    for turn in np.linspace(0.0, 0.2, 41):
+        new, found = places_at(case, turn, tool)
+        expected = common_faces(case, turn)
+        kept += not new
+        missing = expected - found
+        beside = missing - np.diag(np.diag(missing))
+        assert abs(beside).max() <= overlap.LEFT_OUT * expected.diagonal().max()
+        np.testing.assert_allclose(-np.diag(missing), abs(beside).sum(axis=1),
+                                   rtol=0, atol=1e-12 * expected.max())
+        left_out |= beside.any()
+    assert 10 < kept < 41 and left_out
+    tool.forget()
+    assert places_at(case, 0.0, tool)[0]
 
 
 def test_the_model_follows_time_step_and_configuration_but_for_small_turns():
@@ -277,8 +331,14 @@ def test_the_model_follows_time_step_and_configuration_but_for_small_turns():
         return answer
 
     for interval, turn in ((0.02, 0.0), (0.02, 0.3), (0.1, 0.3), (0.02, -0.4)):
+        expected = fresh(interval, turn)
+        tool.update(interval, case.operators(turn))  # may leave out what the fresh one does not
+        np.testing.assert_allclose(
+            tool.solve(rhs), expected, rtol=0, atol=overlap.LEFT_OUT * abs(expected).max())
+        tool.begin()
+        tool.forget()
         tool.update(interval, case.operators(turn))
-        np.testing.assert_allclose(tool.solve(rhs), fresh(interval, turn), rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(tool.solve(rhs), expected, rtol=1e-9, atol=1e-12)
     kept = tool.solve(rhs)
     tool.update(0.02, case.operators(-0.4 + 0.5 * model.KEPT))
     assert np.array_equal(tool.solve(rhs), kept)

@@ -2,6 +2,7 @@
 
 import numpy as np
 from petsc4py import PETSc
+from scipy.sparse import csr_matrix
 
 
 class Stencil:
@@ -134,6 +135,19 @@ class Interpolation:
             )
             self._values = self._matrix.createVecLeft()
         return self._matrix
+
+    def on_root(self):
+        """J as a csr_matrix on rank 0: over the faces near the markers, or over all.
+
+        Not collective.
+        """
+        if self._near is not None:
+            return self._near[1]
+        u, v = self.grid.u_index, self.grid.v_index
+        faces = np.arange(u.size + v.size)
+        starts, columns, values = self.stencil.csr(
+            faces[: u.size].reshape(u.shape), faces[u.size :].reshape(v.shape))
+        return csr_matrix((values, columns, starts), (2 * self._count, len(faces)))
 
     def interpolate(self, velocity):
         """Velocity U at the markers: (M, 2) on rank 0, (0, 2) elsewhere."""

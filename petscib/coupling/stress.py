@@ -112,6 +112,10 @@ class CorrectedInterpolation:
                                 t[:, 0] * n[:, 1] + t[:, 1] * n[:, 0]), axis=1)
         self._along = slip.per_stress[:, None] * t
 
+    def on_root(self):
+        """J as a scipy matrix, as in Interpolation."""
+        return self.plain.on_root()
+
     def interpolate(self, velocity):
         """J' u: (M, 2) on rank 0, (0, 2) elsewhere."""
         shear = np.einsum("ki,ki->k", self._shear, self.stresses.interpolate(velocity))

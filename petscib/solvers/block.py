@@ -40,6 +40,10 @@ class Block(FluidIteration):
         super().begin(rhs, stage)
         self.model.begin()
 
+    def forget(self):
+        """Place the model's entries anew at the next step."""
+        self.model.forget()
+
     def update(self, interval, operators, stress):
         """Set the system for a configuration of the membranes."""
         fluid, grid = self.fluid, self.fluid.grid

@@ -62,13 +62,14 @@ class Cholesky:
         if self.ksp.getPC().getFactorSolverType() == "petsc":  # which orders only whole matrices
             matrix = _whole(matrix)
         csr = matrix.indptr, matrix.indices, matrix.data
-        if self._matrix is None or self._entries != (matrix.shape, matrix.nnz):
+        if self._matrix is None or not all(
+                new is old or np.array_equal(new, old) for new, old in zip(csr, self._places)):
             self._release()
             create = PETSc.Mat().createSBAIJ
             if self.ksp.getPC().getFactorSolverType() == "petsc":
                 create = PETSc.Mat().createAIJ
             self._matrix = create(matrix.shape, 1, csr=csr, comm=PETSc.COMM_SELF)
-            self._entries = matrix.shape, matrix.nnz
+            self._places = csr[:2]
             self._solution, self._rhs = self._matrix.createVecs()
         else:
             self._matrix.setValuesCSR(*csr)

@@ -132,7 +132,11 @@ class Force(Iteration):
         self.ksp.setInitialGuessNonzero(False)
 
     def forget(self):
-        """Place the window anew at the next step."""
+        """Place the window and the model's entries anew at the next step."""
+        self.model.forget()
+        self._leave()
+
+    def _leave(self):
         if self._near:
             self._near.destroy()
             self._near = None
@@ -152,9 +156,9 @@ class Force(Iteration):
         changed = self.fluid.update(interval)
         self.interval, self.operators, self._stage_velocity = interval, operators, None
         self._free = stress / interval
+        self._place(operators.interpolation, changed)
         with phase("marker model"):
             self.model.update(interval, operators)
-        self._place(operators.interpolation, changed)
         self._operator.changed()
         self.ksp.setOperators(self._operator.matrix)
 
@@ -171,7 +175,7 @@ class Force(Iteration):
         stencil = interpolation.stencil
         matrix = self._near.interpolation(stencil) if self._near and not changed else None
         if self.fluid.grid.comm.tompi4py().bcast(matrix is None):
-            self.forget()
+            self._leave()
             self._near = Near(self.fluid, stencil)
             matrix = self._near.interpolation(stencil)
             if self._free_velocity is not None:
@@ -257,7 +261,7 @@ class Force(Iteration):
         """Free the solver; PETSc calls this too.  Collective."""
         if pc is not None:
             return
-        self.forget()
+        self._leave()
         self.model.destroy()
         for part in (self.ksp, self._operator, self._load, self._change, self._base):
             part.destroy()

@@ -15,33 +15,45 @@ s2 the variance of the kernel, this is exp(-s2 h^2 k^2) R(k) / ds with
 
     R(k) = erfcx(sqrt(s2) h kappa) / (2 mu kappa),    kappa^2 = k^2 + rho / (mu theta dt).
 
-R is fitted by a few poles, sum_j c_j / (p_j^2 + k^2), and the exponential is the square of the
-kernel sampled along the curve, Phi.  What it passes on is smooth, so that *stations* along it
-do that lie less densely than markers; Phi interpolates between both.  With one more unknown y_j a
-station, component and pole,
+R is fitted roughly by one pole, c / (p^2 + k^2), and the exponential is the square of the kernel
+sampled along the curve, Phi.  What it passes on is smooth, so that *stations* along it do that lie
+less densely than markers; Phi interpolates between both.  This treats each wave by itself, while
+waves that the grid cannot tell from each other answer as one: markers that lie half a cell apart
+carry waves shorter than two cells.  For them A^{-1} is about a number,
+alpha = 1 / (rho / (theta dt) + LOCAL mu / h^2), and H about
 
-    [ 1 / (theta dt) + C K C^T    C Phi ...             ] [m  ]
-    [ Phi^T C^T ...               (D_ss - p_j^2) / c_j  ] [y_j],
+    L = alpha J J^T / (dx dy),
+
+which couples markers that share faces of the grid.  With an unknown y a station and component,
+
+    [ 1 / (theta dt) + C (L + K) C^T    C Phi            ] [m]
+    [ Phi^T C^T                         (D_ss - p^2) / c ] [y],
 
 D_ss the second difference: a sparse symmetric quasidefinite matrix along the curves, factored once
 for each configuration of the membranes.  Nothing of it grows with the grid.
 """
 
 import numpy as np
-from scipy.optimize import nnls
-from scipy.sparse import block_diag, bmat, csr_matrix, diags, hstack, identity, kron, triu
+from scipy.sparse import bmat, csr_matrix, diags, identity, kron, triu
 from scipy.special import erfcx
 
 from ..membranes.curves import Curves
 from .cholesky import Cholesky
+from .overlap import Overlap
 from .product import Product
 
-POLES = 2  # a third saves no iterations (64^2 and 256^2, dt of h/4, h and 16 h)
+# h^2 / mu times the viscous friction of the waves that L answers for.  With 6, 4 and 3 steps take
+# as many iterations but for one to three (yang and bspline43, 64^2 and 128^2, mbe and be, dt of h
+# and 4 h, sigma0 = 1e9, bending 0.01).  A second pole beside it saves up to three with yang, and
+# adds up to ten to 17 with bspline43.
+LOCAL = 4
 
-# Distance in cells of the stations where the poles' unknowns are.  At 1 narrow kernels are sampled
-# too coarsely (18 iterations instead of 12 with yang at 256^2, 45 instead of 22 with bspline43 at
-# 64^2); at 1/2, as far apart as markers, a factorisation takes 1.7 times as long (128^2, 256^2).
-STATIONS = 2 / 3
+# Distance in cells of the stations where the pole's unknowns are.  At 1 and at 1.25 there are as
+# many iterations, at 1.5 up to two more (same runs).
+STATIONS = 1.25
+
+# Samples of the kernel between two stations.
+SAMPLES = 6
 
 # Where the viscosity jumps: (s h k)^2 at which a wave feels as much of the smoothed layer as of
 # what is around.  Forces along a circle's normal, contrasts 0.01 to 100, 64^2: 1.3 to 3.2.
@@ -52,25 +64,18 @@ LAYER = 1.8
 KEPT = 1e-3
 
 
-def fit_poles(wavenumbers, symbol, low, high):
-    """Poles and weights with sum_j c_j / (p_j^2 + k^2) about `symbol`, relatively.
+def fit_pole(wavenumbers, symbol, pole):
+    """The c for which c / (p^2 + k^2) is about `symbol`, relatively.
 
     Parameters
     ----------
     wavenumbers, symbol : ndarray
         Where it is fitted, and what.
-    low, high : float
-        The range of p.
-
-    Returns
-    -------
-    poles, weights : ndarray
-        p_j, and c_j > 0.
+    pole : float
+        p.
     """
-    poles = np.geomspace(low, high, POLES)
-    table = 1 / (poles**2 + wavenumbers[:, None] ** 2) / symbol[:, None]
-    weights = nnls(table, np.ones(len(symbol)))[0]
-    return poles[weights > 0], weights[weights > 0]
+    ratio = 1 / ((pole**2 + wavenumbers**2) * symbol)
+    return ratio.sum() / (ratio @ ratio)
 
 
 def _variance(kernel):
@@ -100,10 +105,13 @@ def _sampled(kernel, h, curves, stations):
             np.diff(stations.starts), stations.ds[stations.starts[:-1]], stations.starts[:-1]))
     local = np.arange(len(curves.ds)) - curves.spread(curves.starts[:-1])
     place = local * curves.ds / spacing
-    reach = int(np.ceil(kernel.reach * h / stations.ds.min(initial=np.inf)))
+    # Linear in between stations, which lie too far apart for the kernel at them to be enough.
+    shift = np.arange(1 - SAMPLES, SAMPLES) / SAMPLES
+    reach = int(np.ceil(kernel.reach * h / stations.ds.min(initial=np.inf))) + 1
     column = np.round(place).astype(int)[:, None] + np.arange(-reach, reach + 1)
-    distance = (place[:, None] - column) * spacing[:, None] / h
-    weights = kernel.along(distance) + kernel.across(distance)
+    distance = (place[:, None] - column)[:, :, None] + shift
+    distance *= spacing[:, None, None] / h
+    weights = (kernel.along(distance) + kernel.across(distance)) @ (1 - np.abs(shift))
     wraps = curves.closed[:, None]
     weights[~wraps & ((column < 0) | (column >= number[:, None]))] = 0.0
     weights /= weights.sum(axis=1, keepdims=True)
@@ -145,13 +153,17 @@ class MarkerModel:
 
     def __init__(self, curves, grid, kernel, rho, mu, share, prefix, short=None):
         self.curves, self.rho, self.share = curves, rho, share
-        # The poles are fitted to the mean viscosity; each curve's block is scaled by its own.
+        # The pole is fitted to the mean viscosity; each curve's block is scaled by its own.
         self.mu = np.mean(mu)
         self._softer = 0.0 if short is None else np.mean(mu / short) - 1
+        if curves.count:
+            self._short = curves.spread(
+                np.broadcast_to(mu if short is None else short, curves.count))
         self.direct = Cholesky(prefix)
-        self._stress, self._link = StressMatrix(), None
-        self._order = self._interval = None
-        h = np.sqrt(grid.dx * grid.dy)
+        self._overlap = Overlap(grid.cell_area)
+        self._interval = None
+        self.forget()
+        self._h = h = np.sqrt(grid.dx * grid.dy)
         self._smoothing = np.sqrt(_variance(kernel)) * h
         stations = _stations(curves, h)
         self._phi = kron(_sampled(kernel, h, curves, stations), identity(2), format="csr")
@@ -162,23 +174,27 @@ class MarkerModel:
         self._scale = diags(np.repeat(scale, 2))
         longest = max(np.diff(curves.starts) * curves.ds[curves.starts[:-1]], default=1.0)
         self._wavenumbers = np.geomspace(2 * np.pi / longest, 3 / h, 60)
-        self._range = 2 * np.pi / longest, 2 / h
+        self._longest = longest
 
     def _fit(self, interval):
-        """Fit the poles, and make the blocks that they alone change."""
+        """Fit the pole, and make the blocks that it alone changes."""
         decay = self.rho / (self.mu * interval)
         kappa = np.sqrt(self._wavenumbers**2 + decay)
         symbol = self.share * erfcx(self._smoothing * kappa) / (2 * self.mu * kappa)
         short = (self._smoothing * self._wavenumbers) ** 2
         symbol *= 1 + self._softer * short / (short + LAYER)
-        low = np.hypot(self._range[0], np.sqrt(decay))
-        poles, weights = fit_poles(
-            self._wavenumbers, symbol, low, max(self._range[1], 2 * low))
-        self._blocks = [
-            self._scale @ (self._second - p**2 * identity(self._second.shape[0])) / c
-            for p, c in zip(poles, weights)
-        ]
-        self._interval, self._order = interval, None
+        pole = np.hypot(2 * np.pi / self._longest, np.sqrt(decay))
+        weight = fit_pole(self._wavenumbers, symbol, pole)
+        block = self._second - pole**2 * identity(self._second.shape[0])
+        self._block = triu(self._scale @ block / weight, format="csr")
+        # Square root of alpha, at each marker.
+        self._answer = 1 / np.sqrt(self.rho / interval + LOCAL * self._short / self._h**2)
+        self._interval = interval
+
+    def forget(self):
+        """Choose places for the matrix's entries anew at the next update."""
+        self._overlap.forget()
+        self._order = None
 
     def begin(self):
         """Keep nothing from the last time step, so that a restart is the uninterrupted run."""
@@ -200,27 +216,35 @@ class MarkerModel:
         elif self._rates is not None and abs(rates - self._rates).max() <= KEPT * abs(rates).max():
             return
         self._rates = rates
-        stress = self._stress.values(interval, operators)
-        if self._link is None:
-            self._link = Product(operators.rates, self._phi)
+        if self._overlap.update(operators.interpolation.on_root()) or self._order is None:
+            self._lay_out(operators.rates)
+        carried = self._carried.values(
+            rates, self._overlap.values(self._answer, operators.slip))
+        stress = self._stress.values(carried, rates[self._transposed])
+        stress[self._diagonal] += 1 / interval
         link = self._link.values(rates, self._phi.data)
-        if self._order is None:
-            self._lay_out(self._stress.product.csr(stress), self._link.csr(link))
-        np.take(np.concatenate([stress, link, self._fixed]), self._order, out=self._upper.data)
+        np.take(np.concatenate([stress, link, self._block.data]), self._order,
+                out=self._upper.data)
         self.direct.factor(self._upper)
 
-    def _lay_out(self, stress, link):
-        """Make the upper triangle, and say which value goes where in it."""
-        blocks = block_diag(self._blocks, format="csr")
-        self._fixed = blocks.data
-        parts, first = [], 1  # numbers from 1 on, as a sparse matrix may drop zeros
-        for part in (stress, link, blocks):
-            number = np.arange(first, first + len(part.data), dtype=float)
-            parts.append(csr_matrix((number, part.indices, part.indptr), part.shape))
-            first += len(part.data)
-        stress, link, blocks = parts
-        whole = bmat([[stress, hstack([link] * len(self._blocks))], [None, blocks]])
-        upper = triu(whole).tocsr()
+    def _lay_out(self, rates):
+        """Find which products there are, and where their values go in the upper triangle."""
+        def numbered(matrix, first=0):  # from 1 on, as a sparse matrix may drop zeros
+            numbers = np.arange(first + 1.0, first + len(matrix.indices) + 1)
+            return csr_matrix((numbers, matrix.indices, matrix.indptr), matrix.shape)
+
+        transposed = numbered(rates).T.tocsr()
+        self._transposed = transposed.data.astype(int) - 1
+        self._carried = Product(rates, self._overlap.places)
+        self._stress = Product(numbered(self._carried), transposed, upper=True)
+        self._diagonal = np.flatnonzero(self._stress.rows == self._stress.indices)
+        self._link = Product(rates, self._phi)
+        parts, first = [], 0
+        for part in (self._stress, self._link, self._block):
+            parts.append(numbered(part, first))
+            first += len(part.indices)
+        stress, link, block = parts
+        upper = bmat([[stress, link], [None, block]]).tocsr()
         upper.sort_indices()
         self._order, self._upper = upper.data.astype(int) - 1, upper
         self._rows = stress.shape[0]

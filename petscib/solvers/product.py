@@ -13,9 +13,17 @@ class Product:
     ----------
     first, second : csr_matrix
         With the entries of all the factors to come, in their order.
+    upper : bool
+        Only the product's upper triangle.
+
+    Attributes
+    ----------
+    rows, indices, indptr : ndarray of int
+        Row and column of each value, and where each row's begin.
+    shape : (int, int)
     """
 
-    def __init__(self, first, second):
+    def __init__(self, first, second, upper=False):
         rows = np.repeat(np.arange(first.shape[0]), np.diff(first.indptr))
         counts = np.diff(second.indptr)[first.indices]
         # Each entry of the first factor meets those in a row of the second.
@@ -23,6 +31,9 @@ class Product:
         begins = np.repeat(np.cumsum(counts) - counts, counts)
         self._second = (
             np.repeat(second.indptr[first.indices], counts) + np.arange(len(begins)) - begins)
+        if upper:
+            kept = rows[self._first] <= second.indices[self._second]
+            self._first, self._second = self._first[kept], self._second[kept]
         places = rows[self._first] * second.shape[1] + second.indices[self._second]
         places, self._entry = np.unique(places, return_inverse=True)
         self._entry = self._entry.ravel()
