@@ -23,13 +23,12 @@ from .model import MarkerModel
 # percent of a step (mbe and be, 64^2 and 256^2), at dt = h nothing; a second one saves no more.
 MARGIN = 1
 
-# With 1e-6 a step would take 0.65 to 0.75 of the time, and the energy ledger would balance to 1e-5
-# in place of 7e-9 (mbe and be, 128^2, dt = h).  The limit is high because iterations are cheap, and
-# a membrane that nearly touches itself needs many.
-DEFAULTS = {"ksp_type": "cg", "ksp_rtol": 1e-9, "ksp_max_it": 1000, "pc_type": "python"}
-# With advection there are several solves a step, whose errors add up: at a CFL number of 10 the
-# ledger balances to 4e-10, and to 5e-9 with 1e-9, for a tenth less time (mbe and be, 64^2).
-ADVECTED = {**DEFAULTS, "ksp_rtol": 1e-10}
+# The energy ledger then balances to 3e-9, with 1e-10 to 2e-8, with 1e-9 to 4e-7 (be, cn and mbe,
+# 64^2, dt = h, at rest and in shear); a power of ten costs an iteration of some ten.
+RTOL = 1e-11
+# The limit is high because iterations are cheap, and a membrane that nearly touches itself needs
+# many.
+DEFAULTS = {"ksp_type": "cg", "ksp_rtol": RTOL, "ksp_max_it": 1000, "pc_type": "python"}
 
 
 class Near:
@@ -126,8 +125,7 @@ class Force(Iteration):
         self._load = krylov.vector_on_root(membranes.stress_count, fluid.grid.comm)
         self._change = self._load.duplicate()
         self._operator = krylov.Operator(self._change, self)
-        defaults = DEFAULTS if fluid.advection is None else ADVECTED
-        self.ksp = krylov.create(self._operator.matrix, fluid.prefix, defaults)
+        self.ksp = krylov.create(self._operator.matrix, fluid.prefix, DEFAULTS)
         krylov.use_python(self.ksp, self)
         self.ksp.setInitialGuessNonzero(False)
 

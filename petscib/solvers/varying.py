@@ -11,6 +11,7 @@ method.
 import numpy as np
 from petsc4py import PETSc
 
+from .force import RTOL
 from .momentum import Momentum
 from .stokes import Stokes
 
@@ -49,9 +50,8 @@ class Varying:
         super().__init__(operators, rho, viscosity.outer, transform, advection)
         self.viscosity = viscosity
         self.defaults = {**self.defaults, "ksp_max_it": 1000}
-        # The energy law to 1e-8; with 1e-10 it held to 1.4e-8 in one case of `studies.stability`.
-        if self.fast:
-            self.defaults["ksp_rtol"] = 1e-11
+        if self.fast:  # as where transforms solve exactly
+            self.defaults["ksp_rtol"] = RTOL
         if transform is not None:
             self.defaults["pc_type"] = "python"
         grid = self.grid
