@@ -191,7 +191,8 @@ def main(arguments):
     for outlet in outlets:
         outlet.begin()
     for kind in SIGNALS:
-        signal.signal(kind, stop)
+        if kind != signal.SIGHUP or signal.getsignal(kind) != signal.SIG_IGN:  # as under ``nohup``
+            signal.signal(kind, stop)
     signal.signal(signal.SIGUSR1, lambda kind, frame: job.send_signal(kind))
     status = job.wait()
     for outlet in outlets:

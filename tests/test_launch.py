@@ -122,6 +122,20 @@ def test_a_second_ctrl_c_ends_the_job():
     assert process.wait(timeout=10) == 130
 
 
+def test_a_job_under_nohup_goes_on_when_its_terminal_goes():
+    script = ("import os, time; os.write(1, b'ready\\n'); time.sleep(1); os.write(1, b'done\\n')")
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "petscib.launch", "-c", script], stdout=subprocess.PIPE,
+            env=mpi_environment(MPIEXEC=sys.executable))
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    process.stdout.readline()
+    process.send_signal(signal.SIGHUP)
+    assert process.communicate(timeout=10)[0] == b"done\n" and process.returncode == 0
+
+
 NOISES = {
     "5": """\
 --------------------------------------------------------------------------
