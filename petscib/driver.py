@@ -492,6 +492,25 @@ class Driver:
         self.results.monitor.write(f"petscib: {error}")
         self.comm.Abort(error.exit_status)
 
+    def leave(self):
+        """Save the newest state for a script that fails in the midst of the run.  Not collective.
+
+        Of several ranks, which need not all have failed, the first one saves what all have kept.
+        """
+        if not self.begun or self.summary is not None or not self.results.writes:
+            return
+        try:
+            if self.comm.size == 1:
+                path = self.writing.save(self.state, with_jumps=False)
+            elif self.writing.rescue.claim():
+                path = self.writing.save_copies()
+            else:
+                sleep(PATIENCE)  # the script may end the job
+                return
+            self.results.monitor.write(f"petscib: a state to go on from is in {path}")
+        except OutputError as failure:
+            self.results.monitor.write(f"petscib: the state could not be saved ({failure})")
+
     def _record(self, step):
         largest = self.progress.largest_energy
         with phase("diagnostics"):

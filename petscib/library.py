@@ -7,6 +7,7 @@ import numpy as np
 
 from . import petsc
 from .agreement import everywhere, on_root
+from .errors import Error
 from .own import Points
 
 
@@ -184,7 +185,10 @@ class Simulation:
     def __enter__(self):
         return self
 
-    def __exit__(self, *error):
+    def __exit__(self, kind, error, trace):
+        ours = isinstance(error, Error)  # after which the driver has done so
+        if self._driver is not None and isinstance(error, Exception) and not ours:
+            self._driver.leave()
         self.close()
 
     # --- state and results

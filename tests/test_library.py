@@ -167,6 +167,34 @@ def test_messages_name_the_points(points, message):
     assert str(caught.value).startswith(message)
 
 
+@pytest.mark.parallel([1, 2])
+@pytest.mark.parametrize("failing", [None, 0, 1])
+def test_a_script_that_fails_leaves_the_last_state(tmp_path, capfd, monkeypatch, failing):
+    if failing is not None and failing >= comm.size:
+        return
+    # Shorter than a real one, as the other ranks of a test go on.
+    monkeypatch.setattr("petscib.driver.PATIENCE", 0.5)
+    kept = comm.bcast(str(tmp_path), root=0)
+    raises = failing is None or comm.rank == failing
+    simulation = petscib.Simulation(**SMALL, output=kept, monitor="none", plot=False)
+    simulation.__enter__()
+    for row in simulation:
+        if row["step"] == 2:
+            break
+    error = RuntimeError("the script's own")
+    simulation.__exit__(*((type(error), error, None) if raises else (None, None, None)))
+    comm.Barrier()
+    if comm.rank == 0:
+        assert os.listdir(kept).count("checkpoint-00000002.h5") == 1
+    with petscib.Simulation(restart=os.path.join(kept, "checkpoint-00000002.h5"),
+                            ts_max_time=0.2) as again:
+        assert again.step == 2
+        again.run()
+        with petscib.Simulation(**SMALL) as whole:
+            whole.run()
+            assert np.allclose(again.markers, whole.markers, rtol=0, atol=1e-8)
+
+
 def test_a_closed_simulation_says_so():
     simulation = petscib.Simulation(**SMALL)
     simulation.close()
