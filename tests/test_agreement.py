@@ -85,6 +85,10 @@ def test_a_hook_of_the_scripts_is_left_alone(monkeypatch):
     monkeypatch.setattr(sys, "excepthook", hook)
     uncaught.end_the_job(SimpleNamespace(size=2))
     assert sys.excepthook is hook
+
+
+def test_a_script_on_one_rank_has_its_traceback(monkeypatch, capsys):
     monkeypatch.setattr(sys, "excepthook", sys.__excepthook__)
     uncaught.end_the_job(SimpleNamespace(size=1))
-    assert sys.excepthook is sys.__excepthook__
+    sys.excepthook(InputError, InputError("no"), None)
+    assert capsys.readouterr().err.endswith("InputError: no\n")

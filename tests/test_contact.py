@@ -290,7 +290,8 @@ def test_tethers_hold_against_what_the_fluid_lacks(tmp_path, scheme):
 
 
 def test_tethers_hold_the_start_after_a_restart(tmp_path):
-    words = {**GCN, "axes": "0.2,0.3", "tether": "30", "stag_grid_x": "24"}
+    words = {**GCN, "axes": "0.2,0.3", "tether": "30", "stag_grid_x": "24",
+             "checkpoint_every": "3"}
     run(tmp_path / "whole", **words, ts_max_steps="6")
     run(tmp_path / "parts", **words, ts_max_steps="3")
     run(tmp_path / "parts", restart=str(tmp_path / "parts/final.h5"), ts_max_steps="6")
