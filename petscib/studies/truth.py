@@ -57,8 +57,9 @@ def main(arguments=None):
         study(campaign, {BEST: (32, 64), YANG: (32, 64), PAPER: (32,)}, (0.25,), (0.125, 0.5),
               (0.9, 0.6), (32,), 300)
     else:
-        study(campaign, {BEST: (32, 48, 64, 96, 128), YANG: (32, 48, 64, 96), PAPER: (32, 48, 64)},
-              tuple(TREADING), tuple(RELAXATION), (0.9, 0.8, 0.7, 0.6, 0.5), (32, 64, 128), 1800)
+        fine = 32, 48, 64, 96, 128
+        study(campaign, {BEST: fine, YANG: fine, PAPER: (32, 48, 64)}, tuple(TREADING),
+              tuple(RELAXATION), (0.9, 0.8, 0.7, 0.6, 0.5), (32, 64, 128), 1800)
     return campaign.exit_status
 
 
