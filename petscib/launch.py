@@ -24,6 +24,7 @@ from functools import lru_cache
 from threading import Lock, Thread
 
 from .errors import InputError
+from .output import console
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 # Names under which a machine with several MPIs has their launchers.
@@ -169,6 +170,7 @@ def main(arguments):
     arguments : list of str
         What follows the launcher: its options and the command.
     """
+    console.replace_missing()
     asked = []
 
     def stop(kind, frame):

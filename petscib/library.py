@@ -52,6 +52,9 @@ class Simulation:
 
     def __init__(self, arguments=None, *, laws=(), measures=None, comm=None, interrupt=None,
                  **options):
+        from .output import console
+
+        console.replace_missing()
         if not petsc.started():
             petsc.start(arguments or [])
         from mpi4py import MPI
@@ -60,7 +63,6 @@ class Simulation:
         from . import installation, uncaught
         from .driver import Driver
         from .errors import InputError
-        from .output import console
         from .settings import NOWHERE
 
         console.take_pipes_back()

@@ -82,6 +82,16 @@ def test_a_job_is_heard_to_its_last_word():
     assert process.stdout.read() == "x" * 100_000 + "\n" and process.wait() == 3
 
 
+@pytest.mark.parametrize("words", [
+    ("-m", "petscib", "-help"), ("-m", "petscib.launch", "-c", "print('words')"),
+    ("-c", SCRIPT.format("", True))])
+def test_a_standard_output_that_was_closed(tmp_path, words):
+    done = subprocess.run(
+        ["sh", "-c", 'exec "$@" >&-', "sh", sys.executable, *words], cwd=tmp_path, text=True,
+        stderr=subprocess.PIPE, env=mpi_environment(MPIEXEC=sys.executable))
+    assert done.stderr == "" and done.returncode == 0
+
+
 def test_a_stream_whose_reader_has_gone_falls_silent():
     console.take_pipes_back()  # from PETSc, which other tests may have started
     read, write = os.pipe()

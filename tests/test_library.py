@@ -143,6 +143,9 @@ def test_a_law_of_ones_own_is_the_tether():
     np.testing.assert_allclose(table["springs_energy"], other["tether_energy"], rtol=1e-6)
     with pytest.raises(petscib.InputError, match="Springs: its weights do not turn the change"):
         petscib.Simulation(**SMALL, laws=[lambda *place: Springs(*place, exact=False)])
+    come_and_go = type("Ghosts", (Springs,), {"cover": lambda law, before, after: False})
+    with pytest.raises(petscib.InputError, match="Ghosts: has no forget; allowed: an object with"):
+        petscib.Simulation(**SMALL, laws=[come_and_go])
 
 
 def test_points_are_the_shape():

@@ -121,6 +121,11 @@ class Membranes:
             self._lay_out()
             self.version += 1
 
+    def forget(self):
+        """Choose the stresses that come and go anew at the next step."""
+        for law in self._varying:
+            law.forget()
+
     def stress(self, markers, stretch, time=0.0):
         """Stresses of all laws, one after the other."""
         parts = [law.stress(markers, stretch, time) for law in self.laws]

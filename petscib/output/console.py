@@ -43,6 +43,16 @@ class Console:
             return None
 
 
+def replace_missing():
+    """Let standard output or error that was closed, as by ``>&-``, lead nowhere.
+
+    To Python they are None.  What opens a file before this may get their numbers instead.
+    """
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w"))
+
+
 def take_pipes_back():
     """Let writing to a pipe whose reader has gone be what it was to Python, an exception.
 

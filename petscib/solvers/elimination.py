@@ -9,16 +9,54 @@ where A is.  The correction K bounds what is added to A, so that multigrid for A
 preconditions; without it, only a factorisation of the whole assembled matrix does.
 """
 
-from scipy.sparse import triu
+import numpy as np
+from scipy.sparse import csr_matrix
 
 from ..events import phase
 from . import direct, krylov
 from .cholesky import Cholesky
 from .iteration import FluidIteration, FluidPC
 from .literal import LiteralPC, assembled
-from .model import StressMatrix
+from .product import Product
 
 ACCURACY = 1e-10  # of a pass at least: with 1e-7 the tangent iteration takes up to twice the passes
+
+
+class StressMatrix:
+    """1 / (theta dt) + C K C^T, always with the same entries.  Not collective; on rank 0."""
+
+    def __init__(self):
+        self._product = None
+
+    def _begin(self, rates, count):
+        columns = np.repeat(np.arange(count), 2)
+        root = csr_matrix(
+            (np.ones(2 * count), columns, np.arange(2 * count + 1)), (2 * count, count))
+        self._along = Product(rates, root)
+        along = self._along.csr(np.arange(1.0, len(self._along.indices) + 1))
+        transposed = along.T.tocsr()
+        self._transposed = transposed.data.astype(int) - 1
+        self._product = Product(along, transposed, upper=True)
+        self._diagonal = np.flatnonzero(self._product.rows == self._product.indices)
+
+    def upper(self, interval, operators):
+        """Its upper triangle, a csr_matrix, for theta dt = `interval` and a configuration.
+
+        Parameters
+        ----------
+        interval : float
+        operators : MarkerOperators
+            With a `slip`.
+        """
+        rates, slip = operators.rates, operators.slip
+        if self._product is None:
+            self._begin(rates, len(slip.mobility))
+        # K is the square of this: along each marker's tangent.
+        root = (np.sqrt(slip.mobility)[:, None] * slip.tangent).ravel()
+        along = self._along.values(rates.data, root)
+        square = self._product.values(along, along[self._transposed])
+        square[self._diagonal] += 1 / interval
+        return self._product.csr(square)
 
 
 class StressBlock:
@@ -38,9 +76,7 @@ class StressBlock:
         """Factor, where there is a correction; else B is a multiple of one."""
         self.interval, self._diagonal = interval, operators.slip is None
         if not self._diagonal and operators.rates.shape[0]:
-            block = triu(self._stress.matrix(interval, operators), format="csr")
-            block.sort_indices()
-            self.direct.factor(block)
+            self.direct.factor(self._stress.upper(interval, operators))
 
     def solve(self, values):
         """B^{-1} times an array over the stresses."""

@@ -52,6 +52,13 @@ LOCAL = 4
 # many iterations, at 1.5 up to two more (same runs).
 STATIONS = 1.25
 
+# Spacing of markers in cells below which L is left out for them, each of which shares faces with
+# many. By L, iterations fall from 150 to 25, 200 to 30 and 220 to 32 at spacings of 0.48, 0.22 and
+# 0.11 on 96^2 with dt = 16 h, and a step takes 0.85, 1.2 and 3 times as long; on 32^2 with dt = h
+# they fall from 14 to 10 at 0.14 and 0.08, for 5 and 23 times the time (-scene stiff -scheme mbe
+# -fft -sigma0 1e9 -bending 0.01 -delta bspline43 -markers N).
+CROWDED = 0.2
+
 # Samples of the kernel between two stations.
 SAMPLES = 6
 
@@ -161,9 +168,12 @@ class MarkerModel:
                 np.broadcast_to(mu if short is None else short, curves.count))
         self.direct = Cholesky(prefix)
         self._overlap = Overlap(grid.cell_area)
+        self._sharing = None
         self._interval = None
         self.forget()
         self._h = h = np.sqrt(grid.dx * grid.dy)
+        if (curves.ds < CROWDED * h).any():
+            self._sharing = diags(np.repeat((curves.ds >= CROWDED * h).astype(float), 2))
         self._smoothing = np.sqrt(_variance(kernel)) * h
         stations = _stations(curves, h)
         self._phi = kron(_sampled(kernel, h, curves, stations), identity(2), format="csr")
@@ -216,7 +226,11 @@ class MarkerModel:
         elif self._rates is not None and abs(rates - self._rates).max() <= KEPT * abs(rates).max():
             return
         self._rates = rates
-        if self._overlap.update(operators.interpolation.on_root()) or self._order is None:
+        interpolation = operators.interpolation.on_root()
+        if self._sharing is not None:
+            interpolation = (self._sharing @ interpolation).tocsr()
+            interpolation.eliminate_zeros()
+        if self._overlap.update(interpolation) or self._order is None:
             self._lay_out(operators.rates)
         carried = self._carried.values(
             rates, self._overlap.values(self._answer, operators.slip))
@@ -260,51 +274,3 @@ class MarkerModel:
     def destroy(self):
         """Free the factor."""
         self.direct.destroy()
-
-
-class StressMatrix:
-    """1 / (theta dt) + C K C^T, always with the same entries.  Not collective; on rank 0.
-
-    Attributes
-    ----------
-    product : Product
-        Makes a matrix of its values; from the first of these on.
-    """
-
-    def __init__(self):
-        self.product = None
-
-    def _begin(self, rates, count):
-        columns = np.repeat(np.arange(count), 2)
-        root = csr_matrix(
-            (np.ones(2 * count), columns, np.arange(2 * count + 1)), (2 * count, count))
-        self._along = Product(rates, root)
-        along = self._along.csr(np.arange(1.0, len(self._along.indices) + 1))
-        transposed = along.T.tocsr()
-        self._transposed = transposed.data.astype(int) - 1
-        self.product = Product(along, transposed)
-        self._diagonal = np.flatnonzero(self.product.rows == self.product.indices)
-
-    def values(self, interval, operators):
-        """Its values for theta dt = `interval` and a configuration.
-
-        Parameters
-        ----------
-        interval : float
-        operators : MarkerOperators
-            With a `slip`.
-        """
-        rates, slip = operators.rates, operators.slip
-        if self.product is None:
-            self._begin(rates, len(slip.mobility))
-        # K is the square of this: along each marker's tangent.
-        root = (np.sqrt(slip.mobility)[:, None] * slip.tangent).ravel()
-        along = self._along.values(rates.data, root)
-        square = self.product.values(along, along[self._transposed])
-        square[self._diagonal] += 1 / interval
-        return square
-
-    def matrix(self, interval, operators):
-        """The sparse matrix."""
-        values = self.values(interval, operators)  # which makes the product at first
-        return self.product.csr(values)

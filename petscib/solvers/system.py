@@ -204,6 +204,8 @@ class ImplicitSystem:
 
         When this is called as one is written, a restart from it is the uninterrupted run.
         """
+        if self.membranes is not None:
+            self.membranes.forget()
         self._iteration.forget()
 
     def destroy(self):

@@ -23,6 +23,8 @@ A law whose rows come and go (see `contact`) also has
 ``cover(before, after)``
     See to it that the rows at hand are all that count in two configurations; True if they are
     others than before.
+``forget()``
+    Choose the rows anew at the next `cover`, as a restart would.
 ``energy(markers)``
     Its energy, whatever the rows at hand.
 

@@ -5,6 +5,7 @@ import numpy as np
 from ...errors import InputError
 
 NEEDED = "name", "linear", "stress", "columns", "weights"
+COVER = "forget", "energy"  # needed with `cover`
 SHIFT = 1e-3  # of the curves' size: how far the markers are moved for the check
 EXACT = 1e-6  # relative defect of the differences, far above round-off and below any formula's
 
@@ -25,9 +26,10 @@ def check_law(law, others, markers):
     InputError
     """
     kind = type(law).__name__
-    missing = [name for name in NEEDED if not hasattr(law, name)]
+    needed = NEEDED + (COVER if hasattr(law, "cover") else ())
+    missing = [name for name in needed if not hasattr(law, name)]
     if missing:
-        raise _refused(kind, f"has no {missing[0]}", "an object with " + ", ".join(NEEDED))
+        raise _refused(kind, f"has no {missing[0]}", "an object with " + ", ".join(needed))
     if not str(law.name).isidentifier() or law.name in [one.name for one in others]:
         raise _refused(kind, f"its name is {law.name!r}", "a word that no other law has")
     size = np.ptp(markers, axis=0).max()

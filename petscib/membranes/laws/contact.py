@@ -44,6 +44,10 @@ class _Repulsion:
             self._take()
         return changed
 
+    def forget(self):
+        """Begin the list anew at the next step, wherever the markers have gone."""
+        self._places = []
+
     def _covers(self, markers):
         # Two markers approach each other by at most twice this.
         return any(
