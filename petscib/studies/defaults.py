@@ -33,7 +33,7 @@ QUICK = "relaxation", "elastic", "driven", "taylor-green"
 def main(arguments=None):
     """Run the study; returns the exit status."""
     campaign = Campaign.from_command_line("defaults", __doc__.splitlines()[0], arguments)
-    study(campaign, QUICK if campaign.quick else tuple(SCENES), 600)
+    study(campaign, QUICK if campaign.quick else tuple(SCENES), 3600)
     return campaign.exit_status
 
 
