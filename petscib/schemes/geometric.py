@@ -68,7 +68,6 @@ class Geometric(StageScheme):
         acceleration = Anderson(ANDERSON_DEPTH)
         interpolation = problem.interpolation(state.markers) if self.theta == 1 else None
         change, passes, iterations = 1.0, 0, 0
-        least = FRACTION * self.controls.picard_rtol
 
         system.begin(self._rhs, stage)
         while change > self.controls.picard_rtol:
@@ -90,7 +89,8 @@ class Geometric(StageScheme):
                 stress = self.free_stress(state, dt, stage, operators)
                 with phase("coupled solve"):
                     system.update(self.theta * dt, operators, stress)
-                    iterations += system.iterate(max(FRACTION * change, least))
+                    iterations += system.iterate(
+                        FRACTION * max(change, self.controls.picard_rtol))
 
                 # X^{n+1} = X^n + dt U
                 motion = self.marker_velocity(stage, operators)
