@@ -5,6 +5,10 @@ As a library: docs/library.md.
 
 from importlib import import_module
 
+from .output import console
+
+console.replace_missing()  # before anything opens a file
+
 __version__ = "0.2.0"
 
 # Public name: its module, loaded when it is asked for, since petscib must not start MPI before.

@@ -21,7 +21,6 @@ def main(arguments=None):
     from .output import console
 
     arguments = sys.argv[1:] if arguments is None else arguments
-    console.replace_missing()
     from mpi4py import MPI
 
     from . import help, petsc, sources

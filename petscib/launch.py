@@ -24,7 +24,6 @@ from functools import lru_cache
 from threading import Lock, Thread
 
 from .errors import InputError
-from .output import console
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 # Names under which a machine with several MPIs has their launchers.
@@ -170,7 +169,6 @@ def main(arguments):
     arguments : list of str
         What follows the launcher: its options and the command.
     """
-    console.replace_missing()
     asked = []
 
     def stop(kind, frame):

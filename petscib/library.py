@@ -54,7 +54,6 @@ class Simulation:
                  **options):
         from .output import console
 
-        console.replace_missing()
         if not petsc.started():
             petsc.start(arguments or [])
         from mpi4py import MPI
