@@ -83,8 +83,7 @@ def test_a_job_is_heard_to_its_last_word():
 
 
 @pytest.mark.parametrize("words", [
-    ("-m", "petscib", "-help"), ("-m", "petscib.launch", "-c", "print('words')"),
-    ("-c", SCRIPT.format("", True))])
+    ("-m", "petscib", "-help"), ("-m", "petscib.launch", "-c", "print('words')")])
 def test_a_standard_output_that_was_closed(tmp_path, words):
     done = subprocess.run(
         ["sh", "-c", 'exec "$@" >&-', "sh", sys.executable, *words], cwd=tmp_path, text=True,
