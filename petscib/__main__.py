@@ -18,14 +18,13 @@ def main(arguments=None):
         Exit status, the same on every rank: 0, also after SIGUSR1; 2 for bad input; 3 when the
         run failed; 130, 143 and 129 when SIGINT, SIGTERM and SIGHUP have stopped it.
     """
-    from .output import console
-
     arguments = sys.argv[1:] if arguments is None else arguments
     from mpi4py import MPI
 
     from . import help, petsc, sources
     from .agreement import on_root
     from .errors import Error
+    from .output import console
 
     world = MPI.COMM_WORLD
     topic, arguments = help.help_asked(arguments)

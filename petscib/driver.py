@@ -499,14 +499,11 @@ class Driver:
         """
         if not self.begun or self.summary is not None or not self.results.writes:
             return
+        if not self.writing.rescue.claim():
+            sleep(PATIENCE)  # the script may end the job
+            return
         try:
-            if self.comm.size == 1:
-                path = self.writing.save(self.state, with_jumps=False)
-            elif self.writing.rescue.claim():
-                path = self.writing.save_copies()
-            else:
-                sleep(PATIENCE)  # the script may end the job
-                return
+            path = self.writing.save_alone(self.state, with_jumps=False)
             self.results.monitor.write(f"petscib: a state to go on from is in {path}")
         except OutputError as failure:
             self.results.monitor.write(f"petscib: the state could not be saved ({failure})")

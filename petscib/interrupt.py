@@ -26,10 +26,7 @@ class Interrupt:
         self._before = {}
 
     def __enter__(self):
-        # SIGHUP says that the terminal has gone, and is ignored under ``nohup``.
-        kinds = [kind for kind in SIGNALS
-                 if kind != signal.SIGHUP or signal.getsignal(kind) != signal.SIG_IGN]
-        self._before = {kind: signal.signal(kind, self._note) for kind in kinds}
+        self._before = {kind: signal.signal(kind, self._note) for kind in heeded(SIGNALS)}
         return self
 
     def __exit__(self, *error):
@@ -43,6 +40,12 @@ class Interrupt:
             act()
         if kind == signal.SIGINT:
             signal.signal(kind, signal.SIG_DFL)
+
+
+def heeded(kinds):
+    """Those of the signals to heed: SIGHUP, as a terminal goes, is ignored under ``nohup``."""
+    return [kind for kind in kinds
+            if kind != signal.SIGHUP or signal.getsignal(kind) != signal.SIG_IGN]
 
 
 def exit_status(kind):

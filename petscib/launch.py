@@ -24,6 +24,7 @@ from functools import lru_cache
 from threading import Lock, Thread
 
 from .errors import InputError
+from .interrupt import heeded
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 # Names under which a machine with several MPIs has their launchers.
@@ -190,9 +191,8 @@ def main(arguments):
         return InputError.exit_status
     for outlet in outlets:
         outlet.begin()
-    for kind in SIGNALS:
-        if kind != signal.SIGHUP or signal.getsignal(kind) != signal.SIG_IGN:  # as under ``nohup``
-            signal.signal(kind, stop)
+    for kind in heeded(SIGNALS):
+        signal.signal(kind, stop)
     signal.signal(signal.SIGUSR1, lambda kind, frame: job.send_signal(kind))
     status = job.wait()
     for outlet in outlets:

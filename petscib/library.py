@@ -7,7 +7,8 @@ import numpy as np
 
 from . import petsc
 from .agreement import everywhere, on_root
-from .errors import Error
+from .errors import Error, InputError
+from .output import console
 from .own import Points
 
 
@@ -52,8 +53,6 @@ class Simulation:
 
     def __init__(self, arguments=None, *, laws=(), measures=None, comm=None, interrupt=None,
                  **options):
-        from .output import console
-
         if not petsc.started():
             petsc.start(arguments or [])
         from mpi4py import MPI
@@ -61,7 +60,6 @@ class Simulation:
 
         from . import installation, uncaught
         from .driver import Driver
-        from .errors import InputError
         from .settings import NOWHERE
 
         console.take_pipes_back()

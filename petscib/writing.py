@@ -100,10 +100,16 @@ class Writing:
         """
         if self.comm.rank == 0 and self.results.writes and not self._at_work:
             with suppress(Exception):  # the orderly end may still come
-                if self.comm.size == 1:
-                    self.save(state)
-                else:
-                    self.save_copies()
+                self.save_alone(state)
+
+    def save_alone(self, state, with_jumps=True):
+        """Save without other ranks' help: on one rank a state, of several what all have kept.
+
+        Returns its path.  Raises OutputError on this rank.
+        """
+        if self.comm.size == 1:
+            return self.save(state, with_jumps=with_jumps)
+        return self.save_copies()
 
     def save_copies(self):
         """Write a checkpoint of the newest state that all ranks have kept.  On one rank only.

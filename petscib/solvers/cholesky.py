@@ -5,6 +5,7 @@ from petsc4py import PETSc
 from scipy.sparse import csr_matrix, triu
 
 from . import direct, krylov
+from .product import numbered
 
 # Stiff membranes make indefinite matrices, for which CHOLMOD has only its LDL^T.
 CHOLMOD_DEFAULTS = {"mat_cholmod_factor": "simplicial"}
@@ -12,7 +13,7 @@ CHOLMOD_DEFAULTS = {"mat_cholmod_factor": "simplicial"}
 
 def _whole(upper):
     """The symmetric matrix whose upper triangle has these entries, zeros among them kept."""
-    numbers = csr_matrix((np.arange(1.0, upper.nnz + 1), upper.indices, upper.indptr), upper.shape)
+    numbers = numbered(upper)
     whole = (numbers + triu(numbers, 1).T).tocsr()
     whole.sort_indices()
     values = upper.data[whole.data.astype(int) - 1]

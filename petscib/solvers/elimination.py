@@ -17,7 +17,7 @@ from . import direct, krylov
 from .cholesky import Cholesky
 from .iteration import FluidIteration, FluidPC
 from .literal import LiteralPC, assembled
-from .product import Product
+from .product import Product, numbered, transposed
 
 ACCURACY = 1e-10  # of a pass at least: with 1e-7 the tangent iteration takes up to twice the passes
 
@@ -33,10 +33,8 @@ class StressMatrix:
         root = csr_matrix(
             (np.ones(2 * count), columns, np.arange(2 * count + 1)), (2 * count, count))
         self._along = Product(rates, root)
-        along = self._along.csr(np.arange(1.0, len(self._along.indices) + 1))
-        transposed = along.T.tocsr()
-        self._transposed = transposed.data.astype(int) - 1
-        self._product = Product(along, transposed, upper=True)
+        across, self._transposed = transposed(self._along)
+        self._product = Product(numbered(self._along), across, upper=True)
         self._diagonal = np.flatnonzero(self._product.rows == self._product.indices)
 
     def upper(self, interval, operators):

@@ -40,7 +40,7 @@ from scipy.special import erfcx
 from ..membranes.curves import Curves
 from .cholesky import Cholesky
 from .overlap import Overlap
-from .product import Product
+from .product import Product, numbered, transposed
 
 # h^2 / mu times the viscous friction of the waves that L answers for.  With 6, 4 and 3 steps take
 # as many iterations but for one to three (yang and bspline43, 64^2 and 128^2, mbe and be, dt of h
@@ -184,7 +184,6 @@ class MarkerModel:
         self._scale = diags(np.repeat(scale, 2))
         longest = max(np.diff(curves.starts) * curves.ds[curves.starts[:-1]], default=1.0)
         self._wavenumbers = np.geomspace(2 * np.pi / longest, 3 / h, 60)
-        self._longest = longest
 
     def _fit(self, interval):
         """Fit the pole, and make the blocks that it alone changes."""
@@ -193,7 +192,7 @@ class MarkerModel:
         symbol = self.share * erfcx(self._smoothing * kappa) / (2 * self.mu * kappa)
         short = (self._smoothing * self._wavenumbers) ** 2
         symbol *= 1 + self._softer * short / (short + LAYER)
-        pole = np.hypot(2 * np.pi / self._longest, np.sqrt(decay))
+        pole = kappa[0]  # of the longest wave
         weight = fit_pole(self._wavenumbers, symbol, pole)
         block = self._second - pole**2 * identity(self._second.shape[0])
         self._block = triu(self._scale @ block / weight, format="csr")
@@ -243,14 +242,9 @@ class MarkerModel:
 
     def _lay_out(self, rates):
         """Find which products there are, and where their values go in the upper triangle."""
-        def numbered(matrix, first=0):  # from 1 on, as a sparse matrix may drop zeros
-            numbers = np.arange(first + 1.0, first + len(matrix.indices) + 1)
-            return csr_matrix((numbers, matrix.indices, matrix.indptr), matrix.shape)
-
-        transposed = numbered(rates).T.tocsr()
-        self._transposed = transposed.data.astype(int) - 1
+        across, self._transposed = transposed(rates)
         self._carried = Product(rates, self._overlap.places)
-        self._stress = Product(numbered(self._carried), transposed, upper=True)
+        self._stress = Product(numbered(self._carried), across, upper=True)
         self._diagonal = np.flatnonzero(self._stress.rows == self._stress.indices)
         self._link = Product(rates, self._phi)
         parts, first = [], 0

@@ -4,6 +4,21 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 
+def numbered(matrix, first=0):
+    """A matrix or Product with the numbers of its entries, from first + 1 on, as a csr_matrix.
+
+    Not from 0 on, as scipy may drop zeros.
+    """
+    numbers = np.arange(first + 1.0, first + len(matrix.indices) + 1)
+    return csr_matrix((numbers, matrix.indices, matrix.indptr), matrix.shape)
+
+
+def transposed(matrix):
+    """The transposed places, as a csr_matrix, and which entry of the matrix is at each."""
+    places = numbered(matrix).T.tocsr()
+    return places, places.data.astype(int) - 1
+
+
 class Product:
     """The product of two sparse matrices, made again and again with other values.
 

@@ -50,7 +50,8 @@ def study(campaign, cases, end=END):
     records, outcomes = [], []
     for number, (reynolds, box, cells, steps) in enumerate(cases, 1):
         across, high, left = BOXES[box]
-        outcome = campaign.run(f"Re {reynolds}, {box}, {cells} cells, dt 1/{steps}", dict(
+        title = f"Re {reynolds}, {box}, {cells} cells, dt 1/{steps}"
+        outcome = campaign.run(title, dict(
             scene="cylinder", fft=True, mu=2 / reynolds, stag_grid_x=across * cells,
             domain=(float(left), float(left + across), -high / 2, high / 2),
             shear_rate=1 / high, markers=round(np.pi * cells), ts_dt=1 / steps,
@@ -60,7 +61,7 @@ def study(campaign, cases, end=END):
                       seconds=outcome.seconds)
         if outcome.finished:
             record.update(measure(outcome, WINDOW if reynolds == SHEDDING else 0.0))
-            outcomes.append((f"Re {reynolds}, {box}, {cells} cells, dt 1/{steps}", outcome))
+            outcomes.append((title, outcome))
         records.append(record)
     campaign.write_records(COLUMNS, records, _markdown(records))
     _draw(campaign.path("cylinder.png"), outcomes)
