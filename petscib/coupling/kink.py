@@ -53,11 +53,22 @@ def _convolution(one, other, y):
     return _integrate(lambda x: first(x) * second(y[..., None, None] - x), edges)
 
 
+def _sampled(weight):
+    """A weight at the nodes of each half cell of its support, and where the half cells begin."""
+    function, radius = weight
+    places = _edges(radius)[:-1]
+    return function(places[:, None] + (1 + _NODES) / 4), places
+
+
 def _mean_distance(one, other, shift=0.0):
-    """Sum over whole numbers j of |x| times the correlation of two weights at x = j + shift."""
-    count = int(np.ceil(one[1] + other[1]))
-    x = shift + np.arange(-count, count)
-    return float(np.sum(np.abs(x) * _convolution(one, other, x)))
+    """Sum over whole numbers j of |x| times the correlation of two weights at x = j + shift.
+
+    A shift by half cells, so that their nodes meet.
+    """
+    (ours, places), (theirs, others) = _sampled(one), _sampled(other)
+    x = places[:, None] - others
+    shared = (ours * _WEIGHTS / 4) @ theirs.T
+    return float(np.sum(np.abs(x) * shared, where=(x - shift) % 1 == 0))
 
 
 def _across(kernel):
