@@ -432,4 +432,4 @@ def _on_file(path, comm, read):
         trouble = str(failure)
     trouble = next(filter(None, comm.allgather(trouble)), "")
     if trouble:
-        raise _unfit(path, f"{trouble}")
+        raise _unfit(path, trouble)

@@ -28,8 +28,8 @@ SOLVES = (
     ("coupled", VERMILLION, "^"),
     ("picard", GREEN, "D"),
 )
-#: Ledger terms that can only take energy away, in stacking order, before those of the laws; all
-#: others can have any sign.
+# Ledger terms that can only take energy away, in stacking order, before those of the laws; all
+# others can have any sign.
 DISSIPATION = (
     ("viscous", "viscosity", BLUE),
     ("inertia", "numerical: inertia", SKY),

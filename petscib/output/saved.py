@@ -89,9 +89,6 @@ def read_fields(folder):
         if "fluid/u" not in file or "fluid/v" not in file:
             return None
         options = json.loads(file.attrs.get("options", "{}"))
-        domain = options.get("domain", (-1.0, 1.0, -1.0, 1.0))
-        if isinstance(domain, str):
-            domain = domain.split(",")
         outlines, tensions = [], []
         while f"vesicle_{len(outlines)}/X" in file:
             vesicle = file[f"vesicle_{len(outlines)}"]
@@ -112,7 +109,7 @@ def read_fields(folder):
             outlines,
             tensions,
             float(file.attrs.get("time", np.nan)),
-            tuple(float(side) for side in domain),
+            tuple(options.get("domain", (-1.0, 1.0, -1.0, 1.0))),
         )
 
 

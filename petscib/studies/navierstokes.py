@@ -12,6 +12,7 @@ import sys
 import numpy as np
 
 from ..fluid.flows import FLOWS
+from ..scenes import SCENES
 from ..schemes.registry import SCHEMES
 from . import report
 from .campaign import Campaign
@@ -114,10 +115,10 @@ def in_space(campaign, sizes):
     return records
 
 
-def _exact_error(outcome, time, mu=0.01):
+def _exact_error(outcome, time):
     if not outcome.finished:
         return None
-    u = outcome.final()["u"]
+    u, mu = outcome.final()["u"], SCENES["taylor-green"].settings["mu"]
     rows, columns = u.shape
     x = -1 + 2 * np.arange(columns) / columns
     y = -1 + 2 * (np.arange(rows) + 0.5) / rows

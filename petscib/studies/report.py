@@ -7,7 +7,7 @@ from ..output import style
 from ..output.files import replacing
 from ..output.style import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
 
-# One look for a scheme in every picture.
+# Of series that are no schemes, which have looks of their own (`schemes.registry`).
 SERIES_COLOURS = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY)
 
 
