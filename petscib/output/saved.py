@@ -113,6 +113,12 @@ def read_fields(folder):
         )
 
 
+def outlines(folder):
+    """The moments of `read_moments` as they are drawn: in the box, and each to its end."""
+    options = read_options(folder)
+    return to_their_ends(in_the_box(read_moments(folder), options), options)
+
+
 def in_the_box(moments, options):
     """Move outlines by whole periods of a periodic box, so that their middles are inside."""
     periodic = [name in options.get("periodic", "none") for name in "xy"]
@@ -128,7 +134,7 @@ def in_the_box(moments, options):
 
 
 def to_their_ends(moments, options):
-    """Outlines as they are drawn."""
+    """Closed outlines with their first marker again at the end; plates are open."""
     low, high = np.reshape(options.get("domain", (-1.0, 1.0, -1.0, 1.0)), (2, 2)).T
     along = 0 if "x" in options.get("periodic", "none") else 1
     period = np.where(np.arange(2) == along, high - low, 0.0)
