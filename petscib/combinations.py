@@ -19,7 +19,7 @@ from .vesicles import OWN, split
 # passes between the markers.
 WIDEST_SPACING = 2.0
 USUAL_SPACING = 0.5  # cells between markers, where their number is not given
-# The fewest markers of a closed membrane: its fourth difference spans 5 of them.
+# The fewest markers of a membrane: its fourth difference spans 5 of them, which show no shape yet.
 FEWEST_MARKERS = 8
 # Times, over the end time, at which a flow of the user's must be the same.
 _TIMES = 0.0, 0.31, 0.77, 1.0
