@@ -572,9 +572,9 @@ def test_gallery(campaign):
 
 def test_vesicles(campaign):
     study = campaign("vesicles")
-    rows = vesicles.study(study, 64, (1, 4), (1,), schemes=("mbe",), ranks=(1,))
+    records = vesicles.study(study, 64, (1, 4), (1,), schemes=("mbe",), ranks=(1,))
     assert_results(study)
-    one, four, grown = (dict(zip(vesicles.COLUMNS, row)) for row in rows)
+    one, four, grown = records
     assert (one["scheme"], one["vesicles"], one["over_one"]) == ("mbe", 1, 1.0)
     assert one["tangent_passes"] is None
     assert four["vesicles"] == 4 and four["markers"] == 4 * one["markers"]
