@@ -6,8 +6,8 @@ error of mbe peaks early and falls again.)  Implicit schemes run to T = 1 with a
 The explicit scheme would need up to millions of steps for that, so it only has to hold for a
 number of steps from rest, which the table names: its limit here is an upper bound of the true one.
 A step so long that the run has few may hold where a shorter one does not, so that the limit is the
-largest step below which none fails: every octave is tried at which a run has fewer than `FEW` steps.
-Otherwise the search takes it that a step above an unstable one is unstable too.
+largest step below which none fails: every octave is tried at which a run has fewer than `FEW`
+steps.  Otherwise the search takes it that a step above an unstable one is unstable too.
 
 The paper's literal method comes first, and beside it the corrected one.
 """
