@@ -269,7 +269,7 @@ def _markdown(records):
         for number in sorted({one["x"] for one in records if one["part"] == "vesicle"}):
             row = [f"{reduced:g}", f"{number:g}"]
             for quantity in ("inclination / pi", "frequency"):
-                row.append(report.spread(spread(records, reduced, number, quantity)))
+                row.append(report.with_range(spread(records, reduced, number, quantity)))
             table.append(row)
     return text + ("\n**Vesicles**: finer grid, and in brackets least and largest over grids and "
                    "boxes\n\n") + report.markdown_table(

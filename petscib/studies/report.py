@@ -23,12 +23,12 @@ def number(value, digits=3):
     return f"{mantissa}e{int(exponent)}"
 
 
-def spread(values, with_range=True):
+def with_range(values, shown=True):
     """A value for a table, and in brackets the least and largest; a dash for None."""
     if values is None:
         return "-"
     value, low, high = values
-    return f"{value:.4g}" + (f" ({low:.4g} to {high:.4g})" if with_range else "")
+    return f"{value:.4g}" + (f" ({low:.4g} to {high:.4g})" if shown else "")
 
 
 def duration(seconds):

@@ -151,7 +151,8 @@ def _markdown(records):
         rows = []
         for reduced in areas:
             found = [spread(records, *line, reduced, name) for line in lines]
-            rows.append([f"{reduced:g}", *(report.spread(one, len(cells) > 1) for one in found)])
+            rows.append([f"{reduced:g}",
+                         *(report.with_range(one, len(cells) > 1) for one in found)])
         header = ["reduced area", *(f"{title}, rate {rate:g}, {method}" for method, rate in lines)]
         text += "\n" + report.markdown_table(header, rows)
     trouble = [one for one in records if not one.get("steady")]
