@@ -6,17 +6,18 @@ that pressure back,
 
     Laplacian phi = div F[c N],
 
-phi = -c times the indicator of the membrane's inside, but for a constant and the smoothing.
+phi = -c times the indicator of the membrane's inside, but for a constant and the smoothing: with F
+and N of the stage, what the pressure of the same step would be without the projector.
 """
 
 from dataclasses import replace
 
 from .errors import SolveError
-from .membranes.mobility import AreaProjector
 from .solvers.poisson import poisson_solver
 
-# In a state's history: c of each membrane, on rank 0; and, in files, the pressure without jumps.
-JUMP, BARE = "pressure_jump", "bare_pressure"
+# In a state's history, on rank 0: c N, the forces (M, 2) on the markers that the projector took and
+# the places (M, 2) that they would have been spread from.  In files: the pressure without jumps.
+JUMP, PLACE, BARE = "pressure_jump", "pressure_jump_place", "bare_pressure"
 
 
 class ShownPressure:
@@ -42,7 +43,7 @@ class ShownPressure:
         be solved for, the state is written without them, and `trouble` says why.
         """
         self.trouble = ""
-        if JUMP not in state.history:
+        if PLACE not in state.history:
             return state
         try:
             pressure = self._add_jumps(state)
@@ -58,12 +59,9 @@ class ShownPressure:
             self._poisson = poisson_solver(problem.operators, self.fft)
             self._force, self._source = grid.velocity_vector(), grid.pressure_vector()
             self._pressure = grid.pressure_vector()
-        curves = problem.membranes.curves
-        jumps = curves.spread(state.history[JUMP])
-        normal = AreaProjector(curves, state.markers).normal
-        interpolation = problem.interpolation(state.markers)
+        interpolation = problem.interpolation(state.history[PLACE])
         self._force.set(0.0)
-        interpolation.spread_add(jumps[:, None] * normal, self._force)
+        interpolation.spread_add(state.history[JUMP], self._force)
         interpolation.destroy()
         problem.operators.divergence.mult(self._force, self._source)
         self._pressure.set(0.0)

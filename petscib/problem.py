@@ -304,16 +304,6 @@ class Problem:
         return (membranes.stress(state.markers, state.stretch, state.time + dt)
                 - membranes.stress(state.markers, state.stretch, state.time))
 
-    def spread_load(self, load, markers, rhs):
-        """Add a given force (M, 2) on markers in a place to the fluid's.  Collective."""
-        interpolation = self.interpolation(markers)
-        if self.viscosity is not None and self.slips:
-            interpolation = self._corrected(interpolation, markers)[0]
-        if self.conserve_area:
-            load = mobility.AreaProjector(self.membranes.curves, markers).project(load)
-        interpolation.spread_add(load, rhs)
-        interpolation.destroy()
-
     def transport(self, state, ahead):
         """The velocity expected a time `ahead` of a state, to carry momentum along.
 

@@ -1,6 +1,7 @@
 """What every law promises, and what contact, tethers, loads and lines do to a run."""
 from types import SimpleNamespace
 
+import dense
 import numpy as np
 import pytest
 from runs import arrays, assert_same_run, comm, prepare, rows, run
@@ -12,7 +13,7 @@ from petscib.driver import Driver
 from petscib.membranes import laws, shapes
 from petscib.membranes.curves import Curves
 from petscib.membranes.membranes import Membranes
-from petscib.schemes import registry
+from petscib.schemes import Controls, create, registry
 
 GRID = SimpleNamespace(domain=(-1.0, 1.0, -1.0, 1.0), periodic=(True, False), dx=0.05, dy=0.05)
 SCHEMES = ["mbe", "mcn", "be", "cn", "gbe", "gcn"]
@@ -307,6 +308,18 @@ def test_a_load_without_forces_of_the_membrane(tmp_path, scheme):
     table = rows(tmp_path)
     assert (np.diff(table["centroid_y"]) < 0).all()
     assert (table["ledger_load_power"][1:] > 0).all()
+
+
+@pytest.mark.parametrize("scheme", ["be", "gbe", "gcn"])
+def test_the_power_of_a_load_is_that_of_the_markers_motion(scheme):
+    """Where no kink is corrected, markers move with the fluid."""
+    problem, state = dense.problem(
+        stag_grid_x=16, axes="0.3,0.2", load="1,-2", kink_correction="no")
+    stepper = create(scheme, problem, Controls(fft=True))
+    step = stepper.step(state, 0.1)
+    work = np.sum(problem.membranes.load(0.1) * step.marker_velocity) * 0.1
+    assert step.ledger["load_power"] == pytest.approx(work, rel=1e-8)
+    stepper.destroy()
 
 
 @pytest.mark.parallel([1, 2])

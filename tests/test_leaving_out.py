@@ -177,7 +177,8 @@ def test_the_iteration_that_a_system_needs(options, iteration, tmp_path):
 def test_a_scheme_has_no_other_schemes_state(tmp_path):
     simulation = finished(tmp_path, scheme="mbe")
     assert set(simulation.state.history) == {
-        "stage", "stage_rate", "stage_time", "stress", "stress_rate", "pressure_jump", "turning"}
+        "stage", "stage_rate", "stage_time", "stress", "stress_rate", "pressure_jump",
+        "pressure_jump_place", "turning"}
     assert not any(name.startswith("coupled") for name in PETSc.Options().getAll())
     simulation.destroy()
 

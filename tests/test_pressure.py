@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from petscib.membranes import geometry
-from petscib.pressure import BARE, JUMP, ShownPressure
+from petscib.membranes.mobility import AreaProjector
+from petscib.pressure import BARE, JUMP, PLACE, ShownPressure
+from petscib.schemes import Controls, create
 
 RADII, CENTERS = (0.5, 0.35), ((-0.7, 0.1), (0.6, -0.3))
 FORCES = (3.0, -0.7)  # normal ones per length, inwards
@@ -19,7 +21,9 @@ def two_circles():
     curves = problem.membranes.curves
     # c N with N the gradient of the signed area pushes outwards where that is positive.
     signs = np.sign(geometry.signed_area(state.markers, curves))
-    state.history[JUMP] = -np.array(FORCES)[: curves.count] * signs
+    normal = AreaProjector(curves, state.markers).normal
+    state.history[JUMP] = curves.spread(-np.array(FORCES)[: curves.count] * signs)[:, None] * normal
+    state.history[PLACE] = state.markers
     state.pressure.set(0.25)
     return problem, state
 
@@ -60,9 +64,27 @@ def test_circles_under_a_uniform_normal_force(fft):
     shown.destroy()
 
 
+@pytest.mark.parametrize("scheme", ["be", "cn", "gcn"])
+def test_it_is_that_of_the_same_step_without_the_projector(scheme):
+    """But for what the uniform normal force moves through the markers; in mbe it also moves u*."""
+    found = []
+    for keep in ("yes", "no"):
+        problem, state = dense.problem(
+            stag_grid_x=24, axes="0.3,0.5", angle=20, sigma0="1e4", flow="shear", shear_rate=1,
+            conserve_area=keep)
+        shown = ShownPressure(problem, True)
+        with dense.petsc_options(**TIGHT):
+            stepper = create(scheme, problem, Controls(fft=True))
+            pressure = shown.state(stepper.step(state, 0.1).end).pressure
+            found.append(dense.pressure(problem.grid, pressure))
+            stepper.destroy()
+        shown.destroy()
+    assert abs(found[0] - found[1]).max() < 0.01 * np.ptp(found[1])
+
+
 def test_without_jumps_it_is_the_state_itself():
     problem, state = two_circles()
-    del state.history[JUMP]
+    del state.history[PLACE]
     shown = ShownPressure(problem, True)
     assert shown.state(state) is state
     shown.destroy()
@@ -74,7 +96,7 @@ def test_jumps_that_cannot_be_solved_for_are_left_out():
         shown = ShownPressure(problem, False)
         assert shown.state(state) is state
         assert "pressure Poisson solve failed" in shown.trouble
-        del state.history[JUMP]
+        del state.history[PLACE]
         shown.state(state)
         assert shown.trouble == ""
         shown.destroy()

@@ -276,6 +276,22 @@ def test_steps_are_those_of_the_paper(scheme, stretch):
     assert_steps(problem, state, scheme, two_steps(paper, getattr(paper, scheme)))
 
 
+def test_explicit_steps_with_the_kink_correction():
+    problem, state = small_problem("recompute", kink=True)
+    paper = PaperStep(problem, state)
+
+    def step():
+        edges, ds = paper.edges(paper.markers), paper.ds
+        rate = dense.surface_divergence(edges / np.hypot(*edges.T)[:, None], ds)
+        force = -rate.T @ (SIGMA0 * (paper.stretch - paper.rest))
+        force -= BENDING * dense.fourth_difference(len(edges), ds) @ paper.markers.ravel()
+        slip = dense.slip(paper.grid, MU, paper.markers, ds, dense.KINK["yang"]) @ force
+        paper.ep()
+        paper.carry_on(paper.velocity, DT * slip, paper.stretch)
+
+    assert_steps(problem, state, "ep", two_steps(paper, step))
+
+
 @cache
 def corrected_steps(scheme, kernel, kink, area, stretch):
     problem, state = small_problem(stretch, kink, area, kernel)

@@ -110,11 +110,12 @@ class Interpolation:
 
     Attributes
     ----------
+    markers : ndarray, shape (M, 2)
     stencil : Stencil
     """
 
     def __init__(self, grid, kernel, markers, stresses=None):
-        self.grid, self.stresses = grid, stresses
+        self.grid, self.markers, self.stresses = grid, markers, stresses
         self.stencil = Stencil(grid, kernel, markers)
         self._count = len(markers)
         self._matrix = self._values = self._near = None

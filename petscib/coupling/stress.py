@@ -102,7 +102,7 @@ class CorrectedInterpolation:
     """
 
     def __init__(self, plain, slip):
-        self.plain, self.stresses = plain, plain.stresses
+        self.plain, self.stresses, self.markers = plain, plain.stresses, plain.markers
         t, n = slip.tangent, slip.normal
         self._shear = np.stack((t[:, 0] * n[:, 0], t[:, 1] * n[:, 1],
                                 t[:, 0] * n[:, 1] + t[:, 1] * n[:, 0]), axis=1)

@@ -24,6 +24,7 @@ class Coupled(StageScheme):
         """Take one step from `state`.  Collective.  Returns a Step."""
         problem, stage = self.problem, self.begin(state, dt)
         operators = problem.operators_at(state.markers)
+        self.add_load(stage, operators)
         stress = self.free_stress(state, dt, stage, operators)
 
         # rho (w - u^n) / (theta dt) + grad p = mu Laplacian w + F[f],  div w = 0,

@@ -25,6 +25,7 @@ class Explicit(ProjectionScheme):
         """Take one step from `state`.  Collective.  Returns a Step."""
         problem, stage = self.problem, self.begin(state, dt)
         operators = problem.operators_at(state.markers)
+        self.add_load(stage, operators)
 
         # rho (u* - u^n) / dt = mu Laplacian u* + F[f^n]
         if problem.acted_on:
@@ -38,7 +39,11 @@ class Explicit(ProjectionScheme):
         phi, iterations["poisson"] = self.projection.apply(
             velocity, dt, self.theta, stage.pressure)
 
-        # X^{n+1} = X^n + dt J u^{n+1}
-        motion = operators.interpolate(velocity) if operators is not None else None
+        # X^{n+1} = X^n + dt (J u^{n+1} + K f^n)
+        motion = None
+        if operators is not None:
+            motion = operators.interpolate(velocity)
+        if problem.acted_on:
+            motion = motion + operators.slip_velocity(operators.force(stage.stress) + stage.load)
         return self.finish(
             state, dt, stage, operators, velocity, motion, projection=phi, iterations=iterations)

@@ -69,7 +69,6 @@ class Geometric(StageScheme):
         interpolation = problem.interpolation(state.markers) if self.theta == 1 else None
         change, passes, iterations = 1.0, 0, 0
 
-        system.begin(self._rhs, stage)
         while change > self.controls.picard_rtol:
             if passes == self.controls.picard_max_it:
                 raise SolveError(
@@ -86,6 +85,9 @@ class Geometric(StageScheme):
                     problem.advection.carry(self._carried)
                 # rho (w - u^n) / (theta dt) + grad p = mu Laplacian w + F[f],  div w = 0,
                 # f = - C^T m,  m = m0 + theta dt C U,  U = J w + K f
+                if passes == 0 or problem.loaded:
+                    self.add_load(stage, operators)
+                    system.begin(self._rhs, stage)
                 stress = self.free_stress(state, dt, stage, operators)
                 with phase("coupled solve"):
                     system.update(self.theta * dt, operators, stress)

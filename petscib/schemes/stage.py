@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..events import phase
-from ..pressure import JUMP
+from ..pressure import JUMP, PLACE
 from ..problem import State, Step
 from ..solvers.system import ImplicitSystem, Stage
 from .history import expected, remembered
@@ -49,15 +49,14 @@ class StageScheme:
         self.extrapolates = problem.advection is not None and theta < 1
 
     def begin(self, state, dt, markers=None):
-        """Set the fluid's part of the right-hand side, and the first guess.  Collective.
+        """Set the right-hand side but for given forces, and the first guess.  Collective.
 
         Parameters
         ----------
         state : State
         dt : float
         markers : ndarray, shape (M, 2), optional
-            Where given forces act, and where the viscosity changes over the whole step; by default,
-            at the step's start.
+            Where the viscosity changes over the whole step; by default, at the step's start.
 
         Returns
         -------
@@ -65,8 +64,7 @@ class StageScheme:
             Extrapolated from the last two steps.
         """
         problem = self.problem
-        markers = state.markers if markers is None else markers
-        problem.place_viscosity(markers)
+        problem.place_viscosity(state.markers if markers is None else markers)
         ahead = self.theta * dt if self.theta < 1 else 0.0
         self._transport = problem.transport(state, ahead)
         problem.fluid_rhs(state, self.theta * dt, self._rhs, self._transport)
@@ -78,10 +76,19 @@ class StageScheme:
         if problem.loaded:
             load = problem.membranes.load(time)
             self._load.zeroEntries()
-            problem.spread_load(load, markers, self._load)
-            self._rhs.axpy(1.0, self._load)
         velocity = expected(history, "stage", time, state.velocity)
         return Stage(velocity, state.pressure.copy(), stress, load)
+
+    def add_load(self, stage, operators):
+        """Add to the right-hand side the given forces on the markers.  Collective.
+
+        Those that it holds already, of the pass before, it loses.
+        """
+        if self.problem.loaded:
+            self._rhs.axpy(-1.0, self._load)
+            self._load.zeroEntries()
+            operators.spread_add(stage.load, self._load)
+            self._rhs.axpy(1.0, self._load)
 
     def time(self, state, dt):
         """When the stage of a step takes place."""
@@ -152,7 +159,8 @@ class StageScheme:
             operators.interpolation.destroy()
             if operators.projector is not None and stage.stress is not None:
                 force = operators.force(stage.stress) + stage.load
-                history[JUMP] = operators.projector.component(force)
+                history[JUMP] = force - operators.project(force)
+                history[PLACE] = operators.interpolation.markers
         if self.extrapolates:
             rate = velocity.copy()
             rate.axpby(-1 / dt, 1 / dt, state.velocity)

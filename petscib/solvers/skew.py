@@ -19,7 +19,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from ..errors import SolveError
-from .iteration import Iteration
+from .iteration import ROUND_OFF, Iteration
 
 # A tolerance of 1e-7 takes two solves more, 1e-8 four.  (FGMRES in `block`, with the same exact
 # solves as preconditioner, needs 1e-9 for an energy ledger nearly as good, and with a vesicle takes
@@ -130,7 +130,7 @@ class Skew(Iteration):
         stage, (residual, earlier) = self.stage, self._residuals
         now, last, image = self._spare
         self._load(stage.velocity, now.load)
-        accuracy = accuracy and INNER * accuracy
+        accuracy = accuracy and max(INNER * accuracy, ROUND_OFF)
         iterations = self._solve(now, stage.stress, accuracy)
         omega = product_before = None
         for _ in range(self.most):
