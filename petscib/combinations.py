@@ -195,10 +195,13 @@ def _check_vesicles(settings, shape_options):
     for name in sorted(settings.given):
         number, base = split(name)
         if number is not None and number >= count:
-            _refuse(settings, (name,), f"the last of {count} vesicles is number {count - 1}"
-                    if count else "there is no vesicle (vesicles is 0)",
-                    f"-vesicle_0_{base} to -vesicle_{count - 1}_{base}, or more -vesicles"
-                    if count else f"-vesicles 1, or no -{name}")
+            why, allowed = {
+                0: ("there is no vesicle (vesicles is 0)", f"-vesicles 1, or no -{name}"),
+                1: ("the only vesicle is number 0", f"-vesicle_0_{base}, or more -vesicles"),
+            }.get(count, (
+                f"the last of {count} vesicles is number {count - 1}",
+                f"-vesicle_0_{base} to -vesicle_{count - 1}_{base}, or more -vesicles"))
+            _refuse(settings, (name,), why, allowed)
     if count == 0:
         for name in shape_options:
             if name in settings.given and getattr(settings, name):
@@ -281,12 +284,11 @@ def _check_files(settings):
                 _refuse(settings, (name,), "there is no folder to write to",
                         f"output=..., or no {name}")
         return
-    folder = os.path.abspath(settings.output)
+    folder = settings.output
     while not os.path.exists(folder):
-        folder = os.path.dirname(folder)
+        folder = os.path.dirname(folder) or "."
     if not os.path.isdir(folder):
-        _refuse(settings, ("output",), f"{os.path.relpath(folder)} is a file",
-                "a directory, made when missing")
+        _refuse(settings, ("output",), f"{folder} is a file", "a directory, made when missing")
     if not os.access(folder, os.W_OK):
         _refuse(settings, ("output",), f"no permission to write in {folder}",
                 "a writable directory")

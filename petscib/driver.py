@@ -112,7 +112,7 @@ class Driver:
         try:
             self._build(self.settings, comm)
         except (InputError, PETSc.Error) as error:
-            trouble = ours(error)
+            trouble = self._ours(error)
             # Since 3.19 petsc4py wraps errors of Python's in its own; those are no bad input.
             if isinstance(trouble, Crash) and str(trouble).startswith("PETSc error"):
                 trouble = InputError(f"PETSc cannot set this up: {trouble}")
@@ -125,11 +125,17 @@ class Driver:
             self.comm.Abort(trouble.exit_status)
         return self.agreement.common(trouble)[0] if agreed[0] else None
 
+    def _ours(self, error):
+        """The error of ours that an exception amounts to; an option's that PETSc refuses."""
+        trouble = ours(error)
+        option = solver_options.refused(str(trouble), self.asked)
+        return InputError(f"{option}: {trouble}") if option else trouble
+
     def _build(self, settings, comm):
-        asked = solver_options.given()
+        self.asked = solver_options.given()
         header = on_root(self.comm, self._header) if settings.restart is not None else None
         self.progress = header.progress if header else Progress()
-        self.progress.solver_options = asked
+        self.progress.solver_options = self.asked
         self.wall_seconds_before = self.progress.wall_seconds
         with stage("set-up"), phase("set-up"):
             self.remarks = []
@@ -401,7 +407,7 @@ class Driver:
 
     def _trouble(self, error):
         """What an exception amounts to; where it was raised is noted.  Not collective."""
-        trouble = ours(error)
+        trouble = self._ours(error)
         if isinstance(trouble, Crash):
             self.traceback = traceback.format_exc()
         return trouble
@@ -469,7 +475,7 @@ class Driver:
         elif isinstance(error, Crash):
             advice = f"{self.results.traceback} says where"
         elif isinstance(error, InputError):
-            advice = "-help names what is allowed"
+            advice = "-help petsc names what is allowed"
         return type(error)(
             f"step {self.state.step + 1} from time {self.state.time:.6g} failed: {error}; "
             f"{advice}; {saved}"
@@ -561,7 +567,6 @@ class Driver:
 
     def _warn_of_unread_options(self):
         """Name options for the solvers that no solver has read, once all have been set up."""
-        # The tube's solver need not live on every rank.
         for name in solver_options.unread(self.progress.solver_options):
             self.results.say(f"petscib: no solver has read -{name}")
 

@@ -29,7 +29,7 @@ def opening_line(settings, steps):
     else:
         solvers = "CG with GAMG for velocity, then for pressure"
         others = "-fft: transforms"
-    count = f"{steps:.0f} steps" if math.isfinite(steps) else "steps"
+    count = _count(steps) if math.isfinite(steps) else "steps"
     if settings.ts_max_steps is None:
         count += f" to t = {settings.ts_max_time:g}"
     return (
@@ -69,6 +69,10 @@ def closing_lines(summary):
     return lines
 
 
+def _count(steps):
+    return f"{steps:.0f} step" if steps == 1 else f"{steps:.0f} steps"
+
+
 def _line(title, text):
     return f"{title:<20}{text}"
 
@@ -106,9 +110,8 @@ def _speed(summary):
         return []
     set_up = summary.get("phase_seconds", {}).get("set-up", 0.0)
     seconds -= set_up
-    count = f"{steps} step" if steps == 1 else f"{steps} steps"
-    return [_line("seconds per step", f"{seconds / steps:.3g} ({count} in {seconds:.3g} s, after "
-                                      f"{set_up:.2g} s of set-up)")]
+    return [_line("seconds per step", f"{seconds / steps:.3g} ({_count(steps)} in {seconds:.3g} s, "
+                                      f"after {set_up:.2g} s of set-up)")]
 
 
 def _what_next(summary, options):
