@@ -159,8 +159,12 @@ def _check_choices(settings):
     if settings.flow == "rest" and settings.shear_rate != 0:
         _refuse(settings, ("shear_rate",), "the flow is rest",
                 "0, or another -flow")
+    a, b, c, d = settings.domain
+    places = np.meshgrid(np.linspace(a, b, 23), np.linspace(c, d, 23))
+    if isinstance(settings.body_force, Function):
+        settings.body_force.tried(*places, 0.0)
     if isinstance(settings.flow, Function):
-        _check_flow(settings)
+        _check_flow(settings, places)
         return
     along = sorted(set(VARIES[settings.flow]) & set(settings.periodic))
     if along:
@@ -170,14 +174,13 @@ def _check_choices(settings):
                 f"-flow {' or '.join(fit)}, or another -periodic")
 
 
-def _check_flow(settings):
+def _check_flow(settings, places):
     """Refuse a flow of the user's that the sides of the box cannot have."""
     flow = settings.flow
     if "shear_rate" in settings.given:
         _refuse(settings, ("shear_rate",), f"the flow is a {flow}", "no -shear_rate")
-    a, b, c, d = settings.domain
-    x, y = np.meshgrid(np.linspace(a, b, 23), np.linspace(c, d, 23))
-    first, *others = (np.array(flow(x, y, part * settings.ts_max_time)) for part in _TIMES)
+    first, *others = (
+        np.array(flow.tried(*places, part * settings.ts_max_time)) for part in _TIMES)
     close = 1e-9 * np.abs(first).max()
     if any(np.abs(other - first).max() > close for other in others):
         raise flow.refused(

@@ -467,17 +467,17 @@ class Driver:
         return self._last_words(error, saved)
 
     def _last_words(self, error, saved):
-        advice = self.scheme.advice
+        advice = f"; {self.scheme.advice}"
         if isinstance(error, WallError):
-            advice = "a larger -domain leaves it room"
+            advice = "; a larger -domain leaves it room"
         elif isinstance(error, CrossingError):
-            advice = "a finer grid, a smaller -ts_dt or -contact keeps them apart"
+            advice = "; a finer grid, a smaller -ts_dt or -contact keeps them apart"
         elif isinstance(error, Crash):
-            advice = f"{self.results.traceback} says where"
+            advice = f"; {self.results.traceback} says where"
         elif isinstance(error, InputError):
-            advice = "-help petsc names what is allowed"
+            advice = "; -help petsc names what is allowed" if "PETSc error" in str(error) else ""
         return type(error)(
-            f"step {self.state.step + 1} from time {self.state.time:.6g} failed: {error}; "
+            f"step {self.state.step + 1} from time {self.state.time:.6g} failed: {error}"
             f"{advice}; {saved}"
         )
 

@@ -223,6 +223,9 @@ def test_channel_with_periodic_ends(tmp_path):
     shifts = saved.periodic_shifts(fields, X)
     assert sorted(shift[0] for shift in shifts) == [-8.0, -4.0]
     assert {shift[1] for shift in shifts} == {0.0}
+    moved, = saved.newest_in_the_box(fields._replace(outlines=[X + (0.5, 0.1)]))
+    np.testing.assert_allclose(moved, X + (-7.5, 0.1), atol=1e-12)
+    assert_picture(plots.plot_tension(tmp_path))
 
 
 def test_outlines_are_drawn_in_the_periodic_box(tmp_path):

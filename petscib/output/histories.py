@@ -39,7 +39,7 @@ DISSIPATION = (
 SUPPLY_NAMES = {"wall_power": "walls", "body_power": "body force", "load_power": "loads",
                 "reset": "stretching reset"}
 # Dashes let the line of a vesicle that moves alike be seen below.
-VESICLE_LINES = "-", (0, (4, 4)), (0, (1, 3))
+VESICLE_LINES = "-", (0, (4, 4)), (0, (1, 1.5))
 SUPPLY_STYLES = (":", "-.", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (7, 2)), (0, (3, 1, 1, 1)))
 
 

@@ -96,7 +96,8 @@ def plot_tension(folder, output=None):
     fields = saved.read_fields(folder)
     if fields is None or not any(np.any(tension) for tension in fields.tensions):
         return None
-    box = _common_box([list(enumerate(fields.outlines))])
+    outlines = saved.newest_in_the_box(fields)
+    box = _common_box([list(enumerate(outlines))])
     # A few edges, as at the tips of a thin vesicle, would otherwise set the whole scale.
     low, high = np.quantile(np.concatenate(fields.tensions), [0.01, 0.99])
     scale = dict(cmap="plasma", clim=(low, high if high > low else low + 1.0))
@@ -105,7 +106,7 @@ def plot_tension(folder, output=None):
     size = width + 1.4, width * shape + 0.7
     with picture(path_of(folder, output, "tension.png"), *size) as figure:
         axis = figure.subplots()
-        for X, tension in zip(fields.outlines, fields.tensions):
+        for X, tension in zip(outlines, fields.tensions):
             edges = np.stack((X[:-1], X[1:]), axis=1)
             image = LineCollection(edges, array=tension, linewidths=3.5, capstyle="round", **scale)
             axis.add_collection(image)
