@@ -292,6 +292,10 @@ class Driver:
                 self.writing.fields(self.state)
             self.writing.keep(self.state)
         self.interrupt.at_once = lambda: self.writing.save_at_once(self.state)
+        if self.comm.rank == 0:
+            saving = ", and saving its state" if results.writes else ""
+            self.interrupt.notice = (f"petscib: finishing this step{saving}; a second Ctrl-C ends "
+                                     "the run at once")
 
     def _next(self):
         with stage("stepping"):
@@ -303,7 +307,7 @@ class Driver:
 
     def _finish(self):
         results = self.results
-        self.interrupt.at_once = None
+        self.interrupt.at_once, self.interrupt.notice = None, ""
         if not self.signal:
             self._save("final.h5")
         results.close()

@@ -18,6 +18,7 @@ from runs import SMALL, arrays, assert_same_run, prepare, rows, run
 from petscib import guard, options, schemes
 from petscib.driver import Driver
 from petscib.errors import Crash, InputError, SolveError, WallError, ours
+from petscib.interrupt import Interrupt
 from petscib.output import checkpoint, lock, plots
 from petscib.solvers import krylov
 
@@ -184,6 +185,19 @@ def test_only_a_second_ctrl_c_ends_at_once():
     assert ending(signal.SIGINT) == 0
     assert ending(signal.SIGINT, signal.SIGINT) == signal.SIGINT
     assert ending(*[signal.SIGTERM, signal.SIGHUP, signal.SIGUSR1] * 3, signal.SIGINT) == 0
+
+
+def test_the_first_ctrl_c_says_what_follows(tmp_path, capfd):
+    with Interrupt() as interrupt:
+        simulation = prepare(tmp_path, ts_max_steps="9")
+        simulation.interrupt = interrupt
+        next(simulation.steps())
+        os.kill(os.getpid(), signal.SIGINT)
+        simulation.run()
+        simulation.destroy()
+    assert simulation.state.step == 2 and interrupt.notice == ""
+    assert capfd.readouterr().err == ("petscib: finishing this step, and saving its state; "
+                                      "a second Ctrl-C ends the run at once\n")
 
 
 # --- the disk
