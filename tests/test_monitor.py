@@ -3,10 +3,12 @@
 import builtins
 import io
 
+import numpy as np
 import pytest
 
+from petscib import options
 from petscib.output import monitor
-from petscib.output.words import closing_lines
+from petscib.output.words import closing_lines, opening_line
 
 
 class Clock:
@@ -210,6 +212,17 @@ def test_a_monitor_that_never_began_can_warn_and_close(name):
 def test_unknown_monitor_is_refused():
     with pytest.raises(ValueError, match="bar, log or none"):
         monitor.create("loud")
+
+
+@pytest.mark.parametrize("steps, words, told", [
+    (1, {"ts_max_steps": "1"}, "mbe with dt = 0.5, 1 step; transforms and CG ("),
+    (2.0, {}, "mbe with dt = 0.5, 2 steps to t = 1; transforms"),
+    (np.inf, {"ts_rtol": "1e-3"}, "mbe with dt by -ts_rtol 0.001, to t = 1; transforms")])
+def test_the_opening_line_says_what_is_to_come(steps, words, told):
+    settings = options.read({
+        "scene": "relaxation", "scheme": "mbe", "ts_dt": "0.5", "ts_max_time": "1", "fft": "yes",
+        **words})
+    assert opening_line(settings, steps).startswith(f"relaxation, 64 x 64 cells, {told}")
 
 
 def test_closing_lines():

@@ -22,19 +22,21 @@ def opening_line(settings, steps):
     if settings.fft:
         method = " and FGMRES" if settings.has_contrast else " and CG" if settings.vesicles else ""
         solvers = "transforms" + method
-        others = "without -fft multigrid"
+        others = "without -fft: multigrid"
     elif SCHEMES[settings.scheme].coupled:
         solvers = "FGMRES with GAMG for velocity and pressure together"
         others = "-fft: transforms, -scheme mcn: CG with GAMG for velocity, then for pressure"
     else:
         solvers = "CG with GAMG for velocity, then for pressure"
         others = "-fft: transforms"
-    count = _count(steps) if math.isfinite(steps) else "steps"
+    count = [_count(steps)] if math.isfinite(steps) else []
     if settings.ts_max_steps is None:
-        count += f" to t = {settings.ts_max_time:g}"
+        count.append(f"to t = {settings.ts_max_time:g}")
+    dt = (f"dt = {settings.ts_dt:.4g}" if settings.ts_rtol is None
+          else f"dt by -ts_rtol {settings.ts_rtol:g}")
     return (
         f"{settings.scene}, {settings.stag_grid_x} x {settings.stag_grid_y} cells, "
-        f"{settings.scheme} with dt = {settings.ts_dt:.4g}, {count}; {solvers} ({others})"
+        f"{settings.scheme} with {dt}, {' '.join(count)}; {solvers} ({others})"
     )
 
 
