@@ -76,7 +76,8 @@ class Doubts:
         if not self._largest["area_error"] <= DRIFT:  # perhaps not a number
             keeps = better if settings.conserve_area else "-conserve_area"
             found.append(f"area off by {self._largest['area_error']:.1%}: {keeps}")
-        inextensible = all(vesicle.rest_length is None for vesicle in settings.each_vesicle())
+        inextensible = all(vesicle.rest_length is None and vesicle.sigma0 > 0
+                           for vesicle in settings.each_vesicle())
         if inextensible and not self._largest["perimeter_error"] <= DRIFT:
             values = {vesicle.sigma0 for vesicle in settings.each_vesicle()}
             stiffer = f"a -sigma0 above {max(values):g}" if len(values) == 1 else "a larger -sigma0"

@@ -253,11 +253,13 @@ def test_closing_lines_without_vesicle_or_steps():
     assert closing_lines({}) == []
 
 
-@pytest.mark.parametrize("most, words", [
-    (None, "-ts_max_time 10"), (3, "-ts_max_time 10 -ts_max_steps 6")])
-def test_what_to_type_next_is_beyond_all_limits(most, words):
+@pytest.mark.parametrize("time, most, words", [
+    (5.0, None, "-ts_max_time 10"), (5.0, 3, "-ts_max_time 10 -ts_max_steps 6"),
+    (2.0, 3, "-ts_max_steps 6"), (0.0, 0, "-ts_max_steps 1")])
+def test_what_to_type_next_is_beyond_the_limits_reached(time, most, words):
     options = {"ts_max_time": 5.0, "ts_max_steps": most, "given": ["scene"]}
-    summary = {"output": "out/pair", "ended": "finished", "options": options}
+    summary = {"output": "out/pair", "ended": "finished", "options": options,
+               "last_row": {"time": time}}
     assert closing_lines(summary)[-1] == (
         f"to go on            -restart latest -output out/pair {words}")
 

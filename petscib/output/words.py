@@ -125,10 +125,12 @@ def _what_next(summary, options):
     lines = [_line("look at", ", ".join(os.path.join(folder, name) for name in look))]
     end = options.get("ts_max_time")
     if end is not None and summary.get("ended") == FINISHED:
-        on, most = f"-ts_max_time {2 * end:g}", options.get("ts_max_steps")
-        if most is not None:  # a restart refuses the limit that it has reached
-            on += f" -ts_max_steps {2 * most}"
-        lines.append(_line("to go on", f"-restart latest -output {folder} {on}"))
+        # A restart refuses the limit that it has reached.
+        most, time = options.get("ts_max_steps"), (summary.get("last_row") or {}).get("time")
+        more = [] if most is None else [f"-ts_max_steps {max(2 * most, 1)}"]
+        if most is None or time is None or time > (1 - 1e-6) * end:
+            more.insert(0, f"-ts_max_time {2 * end:g}")
+        lines.append(_line("to go on", " ".join(["-restart latest -output", folder, *more])))
         if not options.get("given"):
             lines.append(_line("something else", "-scene list, -help, -stag_grid_x 128 -fft"))
     return lines
