@@ -571,6 +571,7 @@ class Driver:
 
     def _warn_of_unread_options(self):
         """Name options for the solvers that no solver has read, once all have been set up."""
+        # Rank 0's answer counts: what is solved along the membranes is solved there alone.
         for name in solver_options.unread(self.progress.solver_options):
             self.results.say(f"petscib: no solver has read -{name}")
 

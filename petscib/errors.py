@@ -29,15 +29,7 @@ class CrossingError(SolveError):
 
 
 class Crash(SolveError):
-    """An unforeseen exception, after which the solvers cannot be used any more.
-
-    Attributes
-    ----------
-    traceback : str
-        Where it was raised; on the rank that raised it.
-    """
-
-    traceback = ""
+    """An unforeseen exception, after which the solvers cannot be used any more."""
 
 
 class OutputError(Error):

@@ -151,9 +151,9 @@ def markdown_table():
     return "\n".join(lines)
 
 
-def _entry(name, text, column=28, width=100):
+def _entry(name, text, column=28):
     """Lines of one help entry: the name, then the text wrapped in its column."""
-    wrapped = textwrap.wrap(text, width - column, break_on_hyphens=False)
+    wrapped = textwrap.wrap(text, 100 - column, break_on_hyphens=False)
     first = f"  {name}"
     lines = [first] if len(first) >= column else [first.ljust(column) + wrapped.pop(0)]
     return lines + [" " * column + line for line in wrapped]

@@ -149,6 +149,8 @@ class _Outlet:
                     return
                 with suppress(OSError):
                     while words:
+                        # One that does not block refuses what it has no room for.
+                        select.select([], [self._target], [])
                         words = words[os.write(self._target, words):]
 
     def begin(self):

@@ -90,9 +90,7 @@ class LocalError:
     def _found(self, step, times, path):
         """Error and order on rank 0."""
         end = step.end
-        edges = geometry.length(self.curves.edge_vectors(end.markers))
-        size = np.add.reduceat(edges, self.curves.edge_starts[:-1]) / (2 * np.pi)
-        size = self.curves.spread(size)
+        size = self.curves.spread(geometry.perimeter(end.markers, self.curves) / (2 * np.pi))
         order = len(path) - 1
         missed = geometry.length(end.markers - prediction(times, path, end.time)) / size
         parts = len(step.parts) or 1

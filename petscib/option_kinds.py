@@ -17,7 +17,6 @@ SMALLEST, LARGEST = 1e-60, 1e60
 LARGEST_INTEGER = 2**31 - 1  # PETSc's integers have 32 bits unless it was built otherwise
 
 
-
 @dataclass(frozen=True)
 class Number:
     """A finite number in a range."""

@@ -231,6 +231,7 @@ def read(database, writes=True):
     settings = Settings(values, given)
     for name in ("stag_grid_x", "stag_grid_y"):  # one of them may follow from the other
         value_of(TABLE[name], text_of(getattr(settings, name)))
+    # Three of the options say how something is done, and ask for no vesicle.
     check(settings, [option.name for option in TABLE.values() if option.group in (SHAPE, MEMBRANE)
                      and option.name not in ("delta", "stretch", "contact_range")])
     return settings

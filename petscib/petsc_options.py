@@ -7,13 +7,15 @@ This module needs neither PETSc nor MPI.
 SOLVERS = (
     ("momentum_", "implicit velocity of ep, mbe, mcn (CG with GAMG; fgmres: block iteration)"),
     ("poisson_", "pressure projection (CG with GAMG)"),
+    ("poisson_indicator_", "where another viscosity is, with -viscosity_contrast (CG with GAMG)"),
     ("coupled_", "velocity and pressure together, be, cn, gbe, gcn (FGMRES; CG with -fft)"),
     ("momentum_velocity_", "fluid's solve inside a block iteration; likewise coupled_velocity_"),
     ("coupled_poisson_", "pressure solve inside the preconditioner"),
     ("momentum_advection_", "ksp_rtol and ksp_max_it of implicit advection with -fft; likewise "
      "coupled_advection_"),
     ("momentum_model_", "direct solver in marker space; likewise coupled_model_"),
-    ("momentum_stress_", "direct solver of the eliminated membrane stresses"),
+    ("momentum_stress_", "direct solver of the eliminated membrane stresses; likewise "
+     "coupled_stress_"),
     ("coupled_direct_", "direct solver of the whole matrix, without the kink correction"),
 )
 SYSTEMS = "momentum", "poisson", "coupled"  # with one of these every such prefix begins

@@ -105,11 +105,11 @@ def _saved_options(header, output, own):
 def _refuse_changes(now, header):
     for name in sorted(now, key=lambda name: FIXED.index(name) if name in FIXED else len(FIXED)):
         number, base = split(name)
-        if (name if number is None else base) not in FIXED:
+        common = name if number is None else base
+        if common not in FIXED:
             continue
         text = "" if now[name] is None else now[name]
         value = options.value_of(options.option_of(name), text)
-        common = name if number is None else base
         # An older file lacks some.
         saved = header.options.get(common, options.TABLE[common].default)
         saved = header.options.get(name, saved)

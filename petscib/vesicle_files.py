@@ -6,7 +6,7 @@ common value.  Empty lines, and what follows a #, do not count.
 
 from . import options
 from .agreement import on_root
-from .errors import InputError
+from .errors import InputError, shortened
 from .vesicles import OWN
 
 ALLOWED = "a text file with a line for each vesicle, of words name=value for " + ", ".join(OWN)
@@ -73,7 +73,7 @@ def _word(path, number, word):
         raise InputError(f"{where}{word}: needs a value; allowed: {word}=value, without blanks")
     if not equals or name not in OWN:
         near = options.nearest(name, OWN)
-        raise InputError(f"{where}{word[:60]}: not a value of a vesicle; allowed: {ALLOWED}"
+        raise InputError(f"{where}{shortened(word)}: not a value of a vesicle; allowed: {ALLOWED}"
                          + (f"; nearest: {near}" if near else ""))
     try:
         options.value_of(options.TABLE[name], text)

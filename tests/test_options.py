@@ -513,9 +513,9 @@ def test_help_shows_every_option_with_range_default_and_unit():
     for group in options.GROUPS:
         assert f"\n{group}\n" in text
     for name in ("-momentum_*", "-momentum_velocity_*", "-momentum_model_*", "-poisson_*",
-                     "-coupled_*", "-coupled_direct_*",
-                     "-coupled_poisson_*", "-options_file ", "-options_file_yaml ",
-                 "PETSC_OPTIONS", "-log_view", "-scene list"):
+                 "-poisson_indicator_*", "-coupled_*", "-coupled_direct_*", "-coupled_poisson_*",
+                 "-options_file ", "-options_file_yaml ", "PETSC_OPTIONS", "-log_view",
+                 "-scene list"):
         assert name in text
 
 

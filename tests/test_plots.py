@@ -76,7 +76,7 @@ def write_fields(path, cells=(48, 64), time=1.0, periodic=False, domain=None, ve
     bump = lambda x, y: np.exp(-8 * (x[None] ** 2 + 2 * y[:, None] ** 2))  # noqa: E731
     u = middle(y)[:, None] * (1 - 0.7 * bump(x, middle(y)))
     v = 0.5 * middle(x)[None] * bump(middle(x), y)
-    options = {"shear_rate": 1.0} if domain is None else {"domain": ",".join(map(str, domain))}
+    options = {"shear_rate": 1.0} if domain is None else {"domain": domain}
     with h5py.File(path, "w") as file:
         file["fluid/u"] = u[:, :-1] if periodic else u
         file["fluid/v"] = v[:-1] if periodic else v

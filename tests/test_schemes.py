@@ -44,7 +44,7 @@ class PaperStep:
         self.velocity = dense.velocity(self.grid, state.velocity)
         comm = self.grid.comm.tompi4py()
         self.markers, self.stretch = comm.bcast((state.markers, state.stretch))
-        self.rest = comm.bcast(problem.membranes.rest_stretch)
+        self.rest = problem.membranes.constants.rest_stretch
         self.inner = dense.inner_faces(self.grid)
         self.gradient, self.divergence = dense.gradient(self.grid), dense.divergence(self.grid)
 

@@ -151,19 +151,20 @@ def test_literal_is_the_papers_method_and_ep_has_no_other(tmp_path):
 
 
 @pytest.mark.parametrize("limit, relation, found", [
-    (100.0, ">=", 64.0), (3.0, "=", 2 ** 1.5), (0.01, "<", 1 / 16)])
-def test_the_search_for_the_largest_step(limit, relation, found):
+    (100.0, ">=", 64.0), (3.0, "=", 2 ** 1.5), (0.3, "=", 0.25), (0.01, "<", 1 / 16)])
+@pytest.mark.parametrize("doubted, again", [(64.0, 1000.0), (1.0, 20.0)])
+def test_the_search_for_the_largest_step(limit, relation, found, doubted, again):
     tried = []
 
-    def judge(dt):
+    def judge(dt):  # steps so long that the run has few are good again
         tried.append(dt)
-        return "" if dt <= limit else f"trouble at {dt:.4g}"
+        return "" if dt <= limit or dt > again else f"trouble at {dt:.4g}"
 
-    answer = maxstep.search(judge, 1 / 16, 64.0, octave=2)
+    answer = maxstep.search(judge, 1 / 16, 64.0, 2, doubted)
     assert answer[:2] == (relation, pytest.approx(found))
-    assert len(tried) <= 6
+    assert len(tried) <= 6 + np.log2(64 / doubted)
     if relation == "=":
-        assert answer[2] == "trouble at 4"
+        assert answer[2] == f"trouble at {2 ** 0.5 * found:.4g}"
 
 
 def test_the_pareto_front_and_the_cheapest_setting():
@@ -572,9 +573,9 @@ def test_gallery(campaign):
 
 def test_vesicles(campaign):
     study = campaign("vesicles")
-    rows = vesicles.study(study, 64, (1, 4), (1,), schemes=("mbe",), ranks=(1,))
+    records = vesicles.study(study, 64, (1, 4), (1,), schemes=("mbe",), ranks=(1,))
     assert_results(study)
-    one, four, grown = (dict(zip(vesicles.COLUMNS, row)) for row in rows)
+    one, four, grown = records
     assert (one["scheme"], one["vesicles"], one["over_one"]) == ("mbe", 1, 1.0)
     assert one["tangent_passes"] is None
     assert four["vesicles"] == 4 and four["markers"] == 4 * one["markers"]

@@ -24,13 +24,9 @@ class Stencil:
     """
 
     def __init__(self, grid, kernel, markers):
-        a, _, c, _ = grid.domain
-        x = (markers[:, 0] - a) / grid.dx
-        y = (markers[:, 1] - c) / grid.dy
-        periods = [cells if wraps else None
-                   for cells, wraps in zip((grid.m, grid.n), grid.periodic)]
+        lattice, periods = self.lattice(grid, markers)
         (x_along, y_along), (x_across, y_across) = (
-            self.lines(np.stack((x, y)) - shift, weight, radius, periods)
+            self.lines(lattice - shift, weight, radius, periods)
             for shift, weight, radius in (
                 (0.0, kernel.along, kernel.along_radius),
                 (0.5, kernel.across, kernel.across_radius),
@@ -38,6 +34,17 @@ class Stencil:
         )
         self.u = self.product(y_across, x_along)
         self.v = self.product(y_along, x_across)
+
+    @staticmethod
+    def lattice(grid, points):
+        """Coordinates of points in grid spacings, shape (2, M), and the periods in x and in y.
+
+        A period is a number of grid lines, or None between walls.
+        """
+        a, _, c, _ = grid.domain
+        periods = [cells if wraps else None
+                   for cells, wraps in zip((grid.m, grid.n), grid.periodic)]
+        return np.stack(((points[:, 0] - a) / grid.dx, (points[:, 1] - c) / grid.dy)), periods
 
     @staticmethod
     def lines(positions, weight, radius, periods):

@@ -51,12 +51,8 @@ class StressInterpolation:
     @staticmethod
     def _weights(strain, kernel, places):
         """The interpolation of strain rates."""
-        grid, radius = strain.grid, kernel.across_radius
-        a, _, c, _ = grid.domain
-        count = len(places)
-        lattice = np.stack(((places[:, 0] - a) / grid.dx, (places[:, 1] - c) / grid.dy))
-        periods = [cells if wraps else None
-                   for cells, wraps in zip((grid.m, grid.n), grid.periodic)]
+        grid, radius, count = strain.grid, kernel.across_radius, len(places)
+        lattice, periods = Stencil.lattice(grid, places)
         columns, values = [], []
         lines = {}
         for shift in (0.5, 0.0):

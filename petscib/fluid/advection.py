@@ -18,8 +18,11 @@ from petsc4py import PETSc
 from .sides import WALLS
 
 # CFL number to which explicit treatment is kept; where the cell Reynolds number is below 1, divided
-# by it.  Prototypes were stable up to CFL numbers of about 1 at a cell Reynolds number of 16, of
-# 1.5 at 1.6 and of 50 at 0.02.
+# by it.  By cn vortices stay finite up to 0.85 and 1.2 at cell Reynolds numbers of 62 and 16
+# (-scene taylor-green -domain 0,2,0,1 -shear_rate 3.1416 -stag_grid_x 64 -fft -advection explicit
+# -ts_max_time 4 -mu 0.0005 and 0.002), and 200 steps in the cavity up to 2 at 1, and up to all that
+# was tried, 40 and 400, at 0.2 and 0.02 (-scene cavity -scheme cn -stag_grid_x 32 -fft -advection
+# explicit -mu 0.03125, 0.15625 and 1.5625).
 LARGEST_CFL = 0.7
 
 

@@ -8,7 +8,7 @@ periodic sides the stencils go on.
 import numpy as np
 from petsc4py import PETSc
 
-from .sides import WALLS
+from .sides import OUTWARDS, WALLS
 
 
 def assemble(comm, shape, columns, values):
@@ -226,7 +226,7 @@ class Operators:
             tangential = sides.tangential[side][inner]
             across[1 if end == 0 else -2] += normal / spacing**2
             along[end, inner] += 2 / spacing**2 * tangential
-            cells[end] += (-1 if end == 0 else 1) * normal / spacing
+            cells[end] += OUTWARDS[end] * normal / spacing
             self.wall_norm += (np.sum(normal**2) + 2 * np.sum(tangential**2)) / spacing**2
             self.wall_faces += np.sum(normal**2)
         self.wall_source = grid.velocity_vector()

@@ -8,7 +8,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from .operators import assemble, shifted
-from .sides import WALLS
+from .sides import OUTWARDS, WALLS
 
 
 class Strain:
@@ -100,14 +100,13 @@ class Strain:
         for side, normal in sides.normal.items():
             direction, end = WALLS[side]
             stretching, shearing, across, along = views[direction]
-            sign = -1 if end == 0 else 1
-            stretching[end] += sign * normal / across
+            stretching[end] += OUTWARDS[end] * normal / across
             # The places along the wall that are not on another wall; the normal velocities
             # between which they lie.
             inner, ring = slice(1, -1), normal
             if grid.periodic[1 - direction]:
                 inner, ring = slice(None), np.concatenate((normal[-1:], normal))
-            shearing[end, inner] += sign * 2 / across * sides.tangential[side][inner]
+            shearing[end, inner] += OUTWARDS[end] * 2 / across * sides.tangential[side][inner]
             shearing[end, inner] += np.diff(ring) / along
         strain = self.vector()
         values = strain.getArray()

@@ -140,13 +140,14 @@ class Viscosity:
         return np.clip(values - zero, 0.0, 1.0)
 
     def add_force(self, velocity, vector, factor=-1.0):
-        """Add a multiple of - E^T D E u, the viscous force of mu - mu_min with walls at rest.
+        """Add a multiple of E^T D E u to a vector.
 
         Parameters
         ----------
         velocity, vector : PETSc.Vec
         factor : float
-            -1 to add the force; 1 for its part of the momentum matrix, E^T D E.
+            -1 for the viscous force of mu - mu_min with walls at rest, 1 for its part of the
+            momentum matrix.
         """
         rates = self._rates
         self.strain.matrix.mult(velocity, rates)

@@ -7,7 +7,9 @@ keep; of that, points all around are looked at.
 import numpy as np
 
 _POINTS = 64  # around an ellipse
-_MOST_TRIES = 2000  # at random places for one ellipse: at half of the area that is enough
+# At random places for one ellipse.  Of 140 and more that fill 0.45, 0.5 and 0.55 of a periodic box,
+# without gaps, 8, 5 and none of 8 arrangements were found (axes 0.06 both, and 0.05 and 0.08).
+_MOST_TRIES = 2000
 
 
 class NoRoom(ValueError):

@@ -11,6 +11,7 @@ import re
 import numpy as np
 from scipy.ndimage import median_filter
 
+from ..errors import shortened
 from .crossings import find_crossing
 
 FEWEST_POINTS = 8  # fewer would not show a shape
@@ -122,7 +123,7 @@ def _parse(text):
 
 
 def _point(line, words, number):
-    shown = line if len(line) <= 40 else line[:37] + "..."
+    shown = shortened(line, 40)
     if len(words) != 2:
         raise ValueError(f"line {number} ({shown}) has {len(words)} columns instead of x and y")
     if not all(map(_NUMBER.fullmatch, words)):

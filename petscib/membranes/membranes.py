@@ -46,6 +46,7 @@ class Membranes:
 
     Attributes
     ----------
+    constants : Constants
     rows : dict of str to slice
         Which of the stresses are a law's.
     fixed : int
@@ -58,7 +59,6 @@ class Membranes:
         varying = [law for law in laws if hasattr(law, "cover")]
         laws = [law for law in laws if law not in varying] + varying
         self.count, self.curves, self.laws, self.loads = count, curves, laws, list(loads)
-        self.rest_stretch = rest_stretch
         self.constants = constants or Constants(curves, rest_stretch)
         self._varying, self.version = varying, 0
         self.fixed = sum(len(law.columns) for law in laws if law not in varying)

@@ -57,6 +57,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from .. import __version__
+from ..agreement import everywhere
 from ..errors import InputError
 from ..membranes.curves import Curves
 from ..pressure import BARE
@@ -424,12 +425,12 @@ def _finite(dataset, box=...):
 
 def _on_file(path, comm, read):
     """Let every rank read from the file; trouble on any is raised on all.  Collective."""
-    trouble = ""
-    try:
-        with h5py.File(path, "r") as file:
-            read(file)
-    except (OSError, RuntimeError, KeyError, ValueError) as failure:
-        trouble = str(failure)
-    trouble = next(filter(None, comm.allgather(trouble)), "")
-    if trouble:
-        raise _unfit(path, f"{trouble}")
+
+    def action():
+        try:
+            with h5py.File(path, "r") as file:
+                read(file)
+        except (OSError, RuntimeError, KeyError, ValueError) as failure:
+            raise _unfit(path, failure) from None
+
+    everywhere(comm, action)

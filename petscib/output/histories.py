@@ -8,6 +8,7 @@ from itertools import cycle
 import numpy as np
 
 from . import saved
+from .rows import entries
 from .style import (
     BLUE,
     GREEN,
@@ -28,8 +29,8 @@ SOLVES = (
     ("coupled", VERMILLION, "^"),
     ("picard", GREEN, "D"),
 )
-#: Ledger terms that can only take energy away, in stacking order, before those of the laws; all
-#: others can have any sign.
+# Ledger terms that can only take energy away, in stacking order, before those of the laws; all
+# others can have any sign.
 DISSIPATION = (
     ("viscous", "viscosity", BLUE),
     ("inertia", "numerical: inertia", SKY),
@@ -212,9 +213,7 @@ def _column(table, name):
 
 def _vesicle_columns(table, name):
     """A quantity of each vesicle, shape (rows, vesicles): name, or name_0, name_1, ..."""
-    columns = [table[name]] if name in table else []
-    while f"{name}_{len(columns)}" in table:
-        columns.append(table[f"{name}_{len(columns)}"])
+    columns = entries(table, name)
     return np.array(columns).T.reshape(len(table.get("time", ())), len(columns))
 
 

@@ -13,7 +13,7 @@ from .rows import entry, is_number
 LINES_BETWEEN_HEADERS = 25
 REDRAW_SECONDS = 0.1
 
-#: Log columns: title, width, format, diagnostics column.
+# Log columns: title, width, format, diagnostics column.
 LOG_COLUMNS = (
     ("step", 7, ".0f", "step"),
     ("time", 10, ".4g", "time"),

@@ -62,9 +62,7 @@ class Results:
         self.folder = settings.output
         self.comm = problem.grid.comm.tompi4py()
         self.outline_every = settings.outline_every or max(1, round(steps / 100))
-        self.monitor = monitor.create(
-            settings.monitor if self.comm.rank == 0 else "none", sys.stderr
-        )
+        self.monitor = monitor.create(settings.monitor if self.comm.rank == 0 else "none")
         self.last_row = None
         self.diagnostics = self.outlines = self.lock = None
         try:

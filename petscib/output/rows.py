@@ -9,7 +9,10 @@ def is_number(value):
 
 
 def entries(row, name):
-    """The entries of a column: one, or with several vesicles those of name_0, name_1, ..."""
+    """The entries of a column: one, or with several vesicles those of name_0, name_1, ...
+
+    Of a table, a mapping of columns, the columns.
+    """
     if name in row:
         return [row[name]]
     values = []

@@ -89,9 +89,6 @@ def read_fields(folder):
         if "fluid/u" not in file or "fluid/v" not in file:
             return None
         options = json.loads(file.attrs.get("options", "{}"))
-        domain = options.get("domain", (-1.0, 1.0, -1.0, 1.0))
-        if isinstance(domain, str):
-            domain = domain.split(",")
         outlines, tensions = [], []
         while f"vesicle_{len(outlines)}/X" in file:
             vesicle = file[f"vesicle_{len(outlines)}"]
@@ -112,8 +109,14 @@ def read_fields(folder):
             outlines,
             tensions,
             float(file.attrs.get("time", np.nan)),
-            tuple(float(side) for side in domain),
+            tuple(options.get("domain", (-1.0, 1.0, -1.0, 1.0))),
         )
+
+
+def outlines(folder):
+    """The moments of `read_moments` as they are drawn: in the box, and each to its end."""
+    options = read_options(folder)
+    return to_their_ends(in_the_box(read_moments(folder), options), options)
 
 
 def in_the_box(moments, options):
@@ -139,7 +142,7 @@ def _moved(X, low, high, periodic):
 
 
 def to_their_ends(moments, options):
-    """Outlines as they are drawn."""
+    """Closed outlines with their first marker again at the end; plates are open."""
     low, high = np.reshape(options.get("domain", (-1.0, 1.0, -1.0, 1.0)), (2, 2)).T
     along = 0 if "x" in options.get("periodic", "none") else 1
     period = np.where(np.arange(2) == along, high - low, 0.0)

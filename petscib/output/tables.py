@@ -133,8 +133,9 @@ def outline_row(step, time, vesicle, X, markers):
 
     Parameters
     ----------
-    step, vesicle : int
+    step : int
     time : float
+    vesicle : int
     X : ndarray, shape (M, 2)
         Marker positions.
     markers : int

@@ -18,8 +18,7 @@ FRAMES_PER_SECOND = 15
 
 def plot_outlines(folder, output=None):
     """``outlines.png``: the vesicles at up to eight times, marker 0 as a star (paper, Fig. 2)."""
-    options = saved.read_options(folder)
-    moments = saved.to_their_ends(saved.in_the_box(saved.read_moments(folder), options), options)
+    moments = saved.outlines(folder)
     if not moments:
         return None
     times = np.array([time for time, _ in moments])
@@ -127,8 +126,7 @@ def animate(folder, output=None, mp4=False):
     """
     from matplotlib import animation
 
-    options = saved.read_options(folder)
-    moments = saved.to_their_ends(saved.in_the_box(saved.read_moments(folder), options), options)
+    moments = saved.outlines(folder)
     if not moments:
         return None
     if mp4 and not animation.FFMpegWriter.isAvailable():

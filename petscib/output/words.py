@@ -48,9 +48,9 @@ def closing_lines(summary):
     summary : dict
         The content of ``summary.json``; read are ``last_row`` (the last row of the diagnostics
         table), ``steps`` (number done by this run), ``total_seconds``, ``output`` (the folder),
-        ``phase_seconds`` (of which the set-up counts), ``ended`` and, in ``options``, ``flow``,
-        ``shear_rate``, ``tether``, ``ts_max_time`` and ``ts_max_steps``. What is missing is left
-        out.
+        ``phase_seconds`` (of which the set-up counts), ``ended``, ``doubts`` and, in ``options``,
+        ``flow``, ``shear_rate``, ``tether``, ``ts_max_time``, ``ts_max_steps`` and ``given``. What
+        is missing is left out.
 
     Returns
     -------

@@ -106,14 +106,12 @@ def _ghosted(grid, sides, velocity):
 
 
 class Series:
-    """The frames of a run in a folder, and their indices.
+    """The frames of a run in a folder, and their indices; those that are there are continued.
 
     Parameters
     ----------
     folder : str
     problem : Problem
-
-    Frames that the folder holds already are continued.
     """
 
     def __init__(self, folder, problem):

@@ -1,8 +1,8 @@
 """Time stepping schemes, by name."""
 
-from .registry import EXPLICIT, IMPLICIT, SCHEMES, Scheme
+from .registry import IMPLICIT, SCHEMES, Scheme
 
-__all__ = ["EXPLICIT", "IMPLICIT", "SCHEMES", "Controls", "Scheme", "Solvers", "create"]
+__all__ = ["IMPLICIT", "SCHEMES", "Controls", "Scheme", "Solvers", "create"]
 
 
 def __getattr__(name):

@@ -96,4 +96,3 @@ _SCHEMES = (
 
 SCHEMES = {scheme.name: scheme for scheme in _SCHEMES}
 IMPLICIT = tuple(name for name, scheme in SCHEMES.items() if scheme.implicit)
-EXPLICIT = tuple(name for name in SCHEMES if name not in IMPLICIT)

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..output.style import GREY
+from ..output.style import GREEN, GREY, PURPLE
 from ..schemes.registry import SCHEMES
 from . import cputime, report
 from .campaign import Campaign
@@ -196,12 +196,14 @@ def momentum_seconds(record):
     return sum(record[f"{name} seconds"] or 0.0 for name in MOMENTUM)
 
 
-def exponent(records, solver, ranks=1, sigma0=1e9, least=128):
-    """The power of the number of cells that the seconds of a step grow with; None for one grid."""
+def exponent(records, solver):
+    """The power of the number of cells that the seconds of a step of mbe grow with, from 128^2 on.
+
+    On one rank, with the larger stiffness; None for one grid.
+    """
     found = {
         case.cells**2: record["step_seconds"] for case, record in records.items()
-        if (case.solver, case.ranks, case.sigma0, case.scheme) == (solver, ranks, sigma0, "mbe")
-        and case.cells >= least and "step_seconds" in record
+        if case == Case(solver, case.cells, 1e9) and case.cells >= 128 and "step_seconds" in record
     }
     return power(found.keys(), found.values())
 
@@ -341,11 +343,11 @@ def _draw(path, records):
                 _line(memory, records, family, "peak_memory_bytes", **style)
         ours = [Case("fft", count, 1e9) for count in cells]
         _line(seconds, records, [Case(LITERAL, count, 1e9) for count in cells], "step_seconds",
-              label="literal", color=report.PURPLE, marker="v")
+              label="literal", color=PURPLE, marker="v")
         _line(seconds, records, ours, "fast_solve_seconds", label="one fast solve (floor)",
               color=GREY, marker="x")
         _line(seconds, records, [Case(PLAIN, count, 1e5) for count in cells], "step_seconds",
-              label="plain CG+GAMG, sigma0 1e5", color=report.GREEN, marker="^")
+              label="plain CG+GAMG, sigma0 1e5", color=GREEN, marker="^")
         paper = [count for count in cells if count in cputime.PAPER]
         seconds.plot(paper, [cputime.PAPER[count]["mbe"][0] for count in paper], "k:", marker="s",
                      mfc="none", label="Hu & Lai, 2013")

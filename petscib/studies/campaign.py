@@ -120,7 +120,7 @@ class Campaign:
         return os.path.join(self.output, name)
 
     def write_records(self, columns, records, text):
-        """The same for records, dicts by column; an entry that is missing does not apply."""
+        """As `write`, from records: dicts by column, in which what does not apply is missing."""
         self.write(columns, [[one.get(name) for name in columns] for one in records], text)
 
     def write(self, columns, rows, text):

@@ -5,7 +5,9 @@ within 1 percent: at every step, or, as the paper may have meant it, at the end.
 error of mbe peaks early and falls again.)  Implicit schemes run to T = 1 with at most dt = 64 h.
 The explicit scheme would need up to millions of steps for that, so it only has to hold for a
 number of steps from rest, which the table names: its limit here is an upper bound of the true one.
-The search takes it that a time step above an unstable one is unstable too.
+A step so long that the run has few may hold where a shorter one does not, so that the limit is the
+largest step below which none fails: every octave is tried at which a run has fewer than `FEW`
+steps.  Otherwise the search takes it that a step above an unstable one is unstable too.
 
 The paper's literal method comes first, and beside it the corrected one.
 """
@@ -20,6 +22,7 @@ from .campaign import Campaign
 
 STIFFNESSES = 1e7, 1e8, 1e9
 END = 1.0
+FEW = 64
 TOLERANCE = 0.01
 LARGEST = 64.0  # in units of h
 SMALLEST = 1 / 16
@@ -99,7 +102,8 @@ def study(campaign, cells, stiffnesses, explicit_steps, octave, time_limit, sche
             try:
                 relation, dt, above = search(
                     lambda dt, make=make, criterion=criterion: trouble(make(dt), criterion),
-                    low, high, octave)
+                    low, high, octave,
+                    END / FEW if SCHEMES[scheme].implicit else high)
                 record.update(relation=relation, dt=dt, dt_over_h=dt / h, above_it=above)
             except NoResultError:
                 record["relation"] = UNKNOWN
@@ -140,8 +144,8 @@ def trouble(outcome, criterion):
     return ""
 
 
-def search(judge, low, high, octave):
-    """The largest step without trouble between two bounds, by bisection of its logarithm.
+def search(judge, low, high, octave, doubted):
+    """The largest step below which none gives trouble, by bisection of its logarithm.
 
     Parameters
     ----------
@@ -150,19 +154,29 @@ def search(judge, low, high, octave):
     low, high : float
     octave : int
         Steps told apart between one and its double.
+    doubted : float
+        Every octave from here to `high` is judged; below, trouble at one step stands for trouble at
+        all longer ones.
 
     Returns
     -------
     relation, step, trouble
-        "=" and the largest good step, with the trouble of the next that was tried; ">=" and
-        `high`, or "<" and `low`, when all or none are good.
+        "=" and the step, with the trouble of the next that was tried; ">=" and `high`, or "<" and
+        `low`, when all or none are good.
     """
-    above = judge(high)
-    if not above:
-        return AT_LEAST, high, ""
     count = max(1, round(octave * np.log2(high / low)))
     steps = high * 2.0 ** (-np.arange(count + 1)[::-1] / octave)  # steps[0] is about `low`
-    good, bad = -1, count
+    good, bad, above = -1, count + 1, ""
+    for index in range(count, -1, -octave):
+        if steps[index] < doubted:
+            break
+        found = judge(float(steps[index]))
+        if found:
+            good, bad, above = -1, index, found
+        elif good < 0:
+            good = index
+    if bad > count:
+        return AT_LEAST, high, ""
     while bad - good > 1:
         middle = (good + bad) // 2
         found = judge(float(steps[middle]))

@@ -12,6 +12,7 @@ import sys
 import numpy as np
 
 from ..fluid.flows import FLOWS
+from ..scenes import SCENES
 from ..schemes.registry import SCHEMES
 from . import report
 from .campaign import Campaign
@@ -114,10 +115,10 @@ def in_space(campaign, sizes):
     return records
 
 
-def _exact_error(outcome, time, mu=0.01):
+def _exact_error(outcome, time):
     if not outcome.finished:
         return None
-    u = outcome.final()["u"]
+    u, mu = outcome.final()["u"], SCENES["taylor-green"].settings["mu"]
     rows, columns = u.shape
     x = -1 + 2 * np.arange(columns) / columns
     y = -1 + 2 * (np.arange(rows) + 0.5) / rows
@@ -268,9 +269,7 @@ def _markdown(records):
         for number in sorted({one["x"] for one in records if one["part"] == "vesicle"}):
             row = [f"{reduced:g}", f"{number:g}"]
             for quantity in ("inclination / pi", "frequency"):
-                found = spread(records, reduced, number, quantity)
-                row.append("-" if found is None else
-                           f"{found[0]:.4g} ({found[1]:.4g} to {found[2]:.4g})")
+                row.append(report.with_range(spread(records, reduced, number, quantity)))
             table.append(row)
     return text + ("\n**Vesicles**: finer grid, and in brackets least and largest over grids and "
                    "boxes\n\n") + report.markdown_table(

@@ -7,7 +7,7 @@ from ..output import style
 from ..output.files import replacing
 from ..output.style import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
 
-# One look for a scheme in every picture.
+# Of series that are no schemes, which have looks of their own (`schemes.registry`).
 SERIES_COLOURS = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY)
 
 
@@ -21,6 +21,14 @@ def number(value, digits=3):
         return f"{float(f'{value:.{digits}g}'):g}"
     mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
     return f"{mantissa}e{int(exponent)}"
+
+
+def with_range(values, shown=True):
+    """A value for a table, and in brackets the least and largest; a dash for None."""
+    if values is None:
+        return "-"
+    value, low, high = values
+    return f"{value:.4g}" + (f" ({low:.4g} to {high:.4g})" if shown else "")
 
 
 def duration(seconds):

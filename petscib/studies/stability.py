@@ -220,14 +220,14 @@ def _markdown(records, chosen, series):
     lost = [one for one in records if one["verdict"] == LOST]
     if lost:
         rows = [[one["group"], one["case"], methods.title(one["scheme"], one["method"]),
-                 str(one["steps"]), one["status"], shortened(one["reason"])] for one in lost]
+                 str(one["steps"]), one["status"], first_clause(one["reason"])] for one in lost]
         parts.append("**Runs that did not finish**\n\n" + report.markdown_table(
             ["", "case", "scheme", "steps", "status", "last line of its output"], rows))
     return "\n".join(parts)
 
 
-def shortened(reason):
-    """The first clause of petscib's message, fit for a table; stability.csv has it all."""
+def first_clause(reason):
+    """That of petscib's message, short enough for a table; stability.csv has it all."""
     clause = reason.split("; ")[0].replace("|", "/")
     return clause[len("petscib: "):] if clause.startswith("petscib: ") else clause
 

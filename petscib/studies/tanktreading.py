@@ -151,7 +151,8 @@ def _markdown(records):
         rows = []
         for reduced in areas:
             found = [spread(records, *line, reduced, name) for line in lines]
-            rows.append([f"{reduced:g}", *(_entry(one, len(cells) > 1) for one in found)])
+            rows.append([f"{reduced:g}",
+                         *(report.with_range(one, len(cells) > 1) for one in found)])
         header = ["reduced area", *(f"{title}, rate {rate:g}, {method}" for method, rate in lines)]
         text += "\n" + report.markdown_table(header, rows)
     trouble = [one for one in records if not one.get("steady")]
@@ -170,13 +171,6 @@ def _markdown(records):
     return text + ("\nThe largest of these:\n\n" + report.markdown_table(
         ["method", "area error", "perimeter error", "distance of the centroid from the centre"],
         rows))
-
-
-def _entry(values, with_range):
-    if values is None:
-        return "-"
-    value, low, high = values
-    return f"{value:.4g}" + (f" ({low:.4g} to {high:.4g})" if with_range else "")
 
 
 def _draw(path, records):

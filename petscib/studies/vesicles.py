@@ -10,6 +10,7 @@ import sys
 from ..schemes.registry import SCHEMES
 from . import report, runs
 from .campaign import Campaign
+from .records import select
 
 CHOSEN = "mbe", "gcn"
 RANKS = 1, 2
@@ -31,7 +32,7 @@ def main(arguments=None):
 
 
 def study(campaign, cells, numbers, boxes, schemes=CHOSEN, ranks=RANKS):
-    """Make the runs and the results; returns the rows of the CSV.
+    """Make the runs and the results; returns the records.
 
     Parameters
     ----------
@@ -45,49 +46,57 @@ def study(campaign, cells, numbers, boxes, schemes=CHOSEN, ranks=RANKS):
     schemes : tuple of str
     ranks : tuple of int
     """
-    rows = []
+    records = []
     for scheme in schemes:
         for count in ranks:
-            usual = [_row(campaign, scheme, count, cells, 1, number) for number in numbers]
-            for row in usual:
-                row[7] = row[6] / usual[0][6] if row[6] and usual[0][6] else None
-            rows += usual
-            rows += [_row(campaign, scheme, count, cells // 2 * box, box, GROWN * box**2)
-                     for box in boxes]
-    campaign.write(COLUMNS, rows, _markdown(rows))
-    if any(row[6] for row in rows):
-        _draw(campaign.path("vesicles.png"), [row for row in rows if row[2] == cells], schemes,
-              cells)
-    return rows
+            usual = [_record(campaign, scheme, count, cells, 1, number) for number in numbers]
+            first = usual[0].get("step_seconds")
+            for one in usual:
+                if first and "step_seconds" in one:
+                    one["over_one"] = one["step_seconds"] / first
+            records += usual
+            records += [_record(campaign, scheme, count, cells // 2 * box, box, GROWN * box**2)
+                        for box in boxes]
+    campaign.write_records(COLUMNS, records, _markdown(records))
+    known = [one for one in records if "step_seconds" in one]
+    if known:
+        shown = select(known, cells=cells, box=1, ranks=ranks[0])
+        _draw(campaign.path("vesicles.png"), shown, schemes, cells)
+    return records
 
 
-def _row(campaign, scheme, ranks, cells, box, number):
-    """A row of the table, the cost relative to one vesicle's left open."""
+def _record(campaign, scheme, ranks, cells, box, number):
+    """The record of a run, but for its cost relative to one vesicle's."""
     options = dict(COMMON, scheme=scheme, stag_grid_x=cells, ts_dt=2 * box / cells,
                    domain=(-box, box, -box, box), vesicles=number)
     outcome = campaign.make(runs.Run(options, ranks), f"{scheme} {number} in {box} on {ranks}")
     kind = "coupled" if SCHEMES[scheme].coupled else "momentum"
-    done = outcome.finished
-    return [scheme, ranks, cells, box, number, number * len(outcome.final()["X"]) if done else None,
-            outcome.step_seconds if done else None, None, outcome.last(f"{kind}_iterations"),
-            outcome.last("picard_iterations"), outcome.last("min_gap")]
+    record = dict(scheme=scheme, ranks=ranks, cells=cells, box=box, vesicles=number,
+                  iterations=outcome.last(f"{kind}_iterations"),
+                  tangent_passes=outcome.last("picard_iterations"), min_gap=outcome.last("min_gap"))
+    if outcome.finished:
+        record.update(markers=number * len(outcome.final()["X"]),
+                      step_seconds=outcome.step_seconds)
+    return record
 
 
-def _markdown(rows):
+def _markdown(records):
     header = ["scheme", "ranks", "cells", "box", "vesicles", "markers", "s per step",
               "over one vesicle", "iterations", "tangent passes"]
-    table = [[row[0], *(report.number(value) for value in row[1:10])] for row in rows]
+    table = [[one["scheme"], *(report.number(one.get(name)) for name in COLUMNS[1:10])]
+             for one in records]
     return ("Mean step, iterations of the last step; box: size relative to the usual one. Only "
             "ratios within one call of the study mean something.\n\n"
             + report.markdown_table(header, table))
 
 
-def _draw(path, rows, schemes, cells):
+def _draw(path, records, schemes, cells):
     with report.picture(path, 9.0, 3.6, columns=2) as (_, axes):
-        for axis, column, label in zip(axes.flat, (6, 8), ("seconds per step", "iterations")):
+        for axis, name, label in ((axes[0, 0], "step_seconds", "seconds per step"),
+                                  (axes[0, 1], "iterations", "iterations")):
             for scheme in schemes:
-                known = [row for row in rows if row[:2] == [scheme, rows[0][1]] and row[column]]
-                axis.plot([row[4] for row in known], [row[column] for row in known],
+                among = select(records, scheme=scheme)
+                axis.plot([one["vesicles"] for one in among], [one[name] for one in among],
                           label=scheme, **SCHEMES[scheme].style)
             axis.set_xscale("log", base=2)
             axis.set(xlabel="vesicles", ylabel=label, ylim=(0, None))
