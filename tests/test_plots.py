@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("matplotlib")
+from matplotlib.figure import Figure  # noqa: E402
 from matplotlib.image import imread  # noqa: E402
 
 from petscib import plot  # noqa: E402
@@ -239,6 +240,15 @@ def test_outlines_are_drawn_in_the_periodic_box(tmp_path):
     np.testing.assert_allclose(moved, X + (10.0, 0.0), atol=1e-12)
     assert_picture(plots.plot_outlines(tmp_path))
     assert_picture(plots.plot_inclination(tmp_path))  # the fluid is driven
+
+
+def test_sides_of_the_box_are_lines_or_dashed():
+    axis = Figure().subplots()
+    views._draw_sides(axis, {})
+    assert not axis.lines
+    views._draw_sides(axis, {"domain": [0, 4, -1, 1], "periodic": "x"})
+    assert [line.get_linestyle() for line in axis.lines] == ["--", "--", "-", "-"]
+    assert [tuple(line.get_xdata()) for line in axis.lines] == [(0, 0), (4, 4), (0, 4), (0, 4)]
 
 
 def test_vorticity_and_centre_velocity_are_exact_for_linear_flows():

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from . import saved
-from .style import MARKED_POINT, SKY, VESICLE_COLOURS, path_of, picture
+from .style import GREY, MARKED_POINT, SKY, VESICLE_COLOURS, path_of, picture
 
 PANELS = 8  # times at which outlines are shown
 FEW = 4  # vesicles whose stars do not hide them
@@ -18,7 +18,7 @@ FRAMES_PER_SECOND = 15
 
 def plot_outlines(folder, output=None):
     """``outlines.png``: the vesicles at up to eight times, marker 0 as a star (paper, Fig. 2)."""
-    moments = saved.outlines(folder)
+    moments, options = saved.outlines(folder), saved.read_options(folder)
     if not moments:
         return None
     times = np.array([time for time, _ in moments])
@@ -33,6 +33,7 @@ def plot_outlines(folder, output=None):
         shared = len(set(boxes)) == 1
         axes = figure.subplots(rows, columns, squeeze=False, sharex=shared, sharey=shared)
         for axis, (time, outlines), box in zip(axes.flat, panels, boxes):
+            _draw_sides(axis, options)
             _draw_outlines(axis, outlines)
             box.frame(axis)
             axis.locator_params(nbins=4)
@@ -126,7 +127,7 @@ def animate(folder, output=None, mp4=False):
     """
     from matplotlib import animation
 
-    moments = saved.outlines(folder)
+    moments, options = saved.outlines(folder), saved.read_options(folder)
     if not moments:
         return None
     if mp4 and not animation.FFMpegWriter.isAvailable():
@@ -146,6 +147,7 @@ def animate(folder, output=None, mp4=False):
         with writer.saving(figure, figure.path, dpi=100):
             for time, outlines in frames:
                 axis.clear()
+                _draw_sides(axis, options)
                 _draw_outlines(axis, outlines)
                 box.frame(axis)
                 axis.set(xlabel="$x$", ylabel="$y$")
@@ -203,6 +205,17 @@ def _time_text(time, largest):
 def _finite_max(values, quantile=1.0):
     finite = values[np.isfinite(values)]
     return float(np.quantile(finite, quantile)) if finite.size else 0.0
+
+
+def _draw_sides(axis, options):
+    """The sides of the box, as far as they are in view: walls as lines, periodic ones dashed."""
+    if "domain" not in options:
+        return
+    a, b, c, d = options["domain"]
+    along_x, along_y = ("--" if name in options.get("periodic", "none") else "-" for name in "xy")
+    for x, y, style in (((a, a), (c, d), along_x), ((b, b), (c, d), along_x),
+                        ((a, b), (c, c), along_y), ((a, b), (d, d), along_y)):
+        axis.plot(x, y, color=GREY, linestyle=style, linewidth=1.0)
 
 
 def _draw_outlines(axis, outlines):
