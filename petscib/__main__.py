@@ -21,7 +21,7 @@ def main(arguments=None):
     arguments = sys.argv[1:] if arguments is None else arguments
     from mpi4py import MPI
 
-    from . import help, petsc, sources
+    from . import help, petsc, petsc_options, sources
     from .agreement import on_root
     from .errors import Error
     from .output import console
@@ -47,8 +47,12 @@ def main(arguments=None):
             return 0
         # Of an option without a value PETSc says None, which in a script stands for the default.
         database = {name: text or "" for name, text in PETSc.Options().getAll().items()}
-        # At its end newer PETSc lists what nothing has read; the run has named that already.
-        if "options_left" not in database:
+        if "options_left" in database:
+            for name in database:
+                if not petsc_options.is_petsc(name):
+                    PETSc.Options().hasName(name)  # counts as read
+        else:
+            # At its end newer PETSc lists what nothing has read; the run has named that already.
             PETSc.Options()["options_left"] = "no"
         if topic == "petsc":
             return _set_up(database)

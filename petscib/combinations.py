@@ -161,8 +161,12 @@ def _check_choices(settings):
     if settings.flow == "rest" and settings.shear_rate != 0:
         _refuse(settings, ("shear_rate",), "the flow is rest",
                 "0, or another -flow")
+    a, b, c, d = settings.domain
+    places = np.meshgrid(np.linspace(a, b, 23), np.linspace(c, d, 23))
+    if isinstance(settings.body_force, Function):
+        settings.body_force.tried(*places, 0.0)
     if isinstance(settings.flow, Function):
-        _check_flow(settings)
+        _check_flow(settings, places)
         return
     along = sorted(set(VARIES[settings.flow]) & set(settings.periodic))
     if along:
@@ -172,14 +176,13 @@ def _check_choices(settings):
                 f"-flow {' or '.join(fit)}, or another -periodic")
 
 
-def _check_flow(settings):
+def _check_flow(settings, places):
     """Refuse a flow of the user's that the sides of the box cannot have."""
     flow = settings.flow
     if "shear_rate" in settings.given:
         _refuse(settings, ("shear_rate",), f"the flow is a {flow}", "no -shear_rate")
-    a, b, c, d = settings.domain
-    x, y = np.meshgrid(np.linspace(a, b, 23), np.linspace(c, d, 23))
-    first, *others = (np.array(flow(x, y, part * settings.ts_max_time)) for part in _TIMES)
+    first, *others = (
+        np.array(flow.tried(*places, part * settings.ts_max_time)) for part in _TIMES)
     close = 1e-9 * np.abs(first).max()
     if any(np.abs(other - first).max() > close for other in others):
         raise flow.refused(
@@ -197,10 +200,13 @@ def _check_vesicles(settings, shape_options):
     for name in sorted(settings.given):
         number, base = split(name)
         if number is not None and number >= count:
-            _refuse(settings, (name,), f"the last of {count} vesicles is number {count - 1}"
-                    if count else "there is no vesicle (vesicles is 0)",
-                    f"-vesicle_0_{base} to -vesicle_{count - 1}_{base}, or more -vesicles"
-                    if count else f"-vesicles 1, or no -{name}")
+            why, allowed = {
+                0: ("there is no vesicle (vesicles is 0)", f"-vesicles 1, or no -{name}"),
+                1: ("the only vesicle is number 0", f"-vesicle_0_{base}, or more -vesicles"),
+            }.get(count, (
+                f"the last of {count} vesicles is number {count - 1}",
+                f"-vesicle_0_{base} to -vesicle_{count - 1}_{base}, or more -vesicles"))
+            _refuse(settings, (name,), why, allowed)
     if count == 0:
         for name in shape_options:
             if name in settings.given and getattr(settings, name):
@@ -283,12 +289,11 @@ def _check_files(settings):
                 _refuse(settings, (name,), "there is no folder to write to",
                         f"output=..., or no {name}")
         return
-    folder = os.path.abspath(settings.output)
+    folder = settings.output
     while not os.path.exists(folder):
-        folder = os.path.dirname(folder)
+        folder = os.path.dirname(folder) or "."
     if not os.path.isdir(folder):
-        _refuse(settings, ("output",), f"{os.path.relpath(folder)} is a file",
-                "a directory, made when missing")
+        _refuse(settings, ("output",), f"{folder} is a file", "a directory, made when missing")
     if not os.access(folder, os.W_OK):
         _refuse(settings, ("output",), f"no permission to write in {folder}",
                 "a writable directory")

@@ -6,6 +6,7 @@ import numpy as np
 
 from .errors import InputError
 from .fluid.flows import velocity
+from .own import Function
 from .schemes.registry import SCHEMES
 from .vesicles import of
 
@@ -37,8 +38,10 @@ def typical_speed(values):
     rho, mu = np.float64(values["rho"]), np.float64(values["mu"])
     bending = max((of(values, k).bending for k in range(values["vesicles"])), default=0.0)
     size = min(b - a, d - c) / 2
+    flow = values["flow"]
     with np.errstate(all="ignore"):
-        flow = np.abs(velocity(values["flow"], x, y, values["shear_rate"], values["domain"])).max()
+        flow = np.abs(flow.tried(x, y, 0.0) if isinstance(flow, Function) else velocity(
+            flow, x, y, values["shear_rate"], values["domain"])).max()
         membrane = min(100 * bending / (mu * size**2), np.sqrt(1000 * bending / (rho * size**3)))
         length = b - a if "x" in values["periodic"] else d - c
         waves = np.sqrt(np.pi * _tension_of_lines(values) / (rho * length))

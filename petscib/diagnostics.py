@@ -6,7 +6,7 @@ from petsc4py import PETSc
 
 from . import energy, rheology, turning
 from .energy import Ledger
-from .errors import InputError
+from .errors import InputError, shortened
 from .membranes import geometry
 from .membranes.laws import LAWS
 
@@ -108,7 +108,11 @@ class Diagnostics:
             row["ledger_residual"] = ledger.residual(max(largest_energy, energies.total))
         for name, measure in self.measures.items():
             value = self.problem.grid.comm.tompi4py().bcast(measure())
-            row[name] = value if value is None else float(value)
+            try:
+                row[name] = value if value is None else float(value)
+            except (TypeError, ValueError):
+                raise InputError(f"measures: {name}: {shortened(repr(value))} is no number; "
+                                 "allowed: a function that returns a number, or None") from None
         return row
 
     def _fluid(self, state, step):

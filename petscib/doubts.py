@@ -77,11 +77,13 @@ class Doubts:
         if not self._largest["area_error"] <= DRIFT:  # perhaps not a number
             keeps = better if settings.conserve_area else "-conserve_area"
             found.append(f"area off by {self._largest['area_error']:.1%}: {keeps}")
-        inextensible = all(vesicle.rest_length is None for vesicle in settings.each_vesicle())
+        inextensible = all(vesicle.rest_length is None and vesicle.sigma0 > 0
+                           for vesicle in settings.each_vesicle())
         if inextensible and not self._largest["perimeter_error"] <= DRIFT:
-            stiff = max((vesicle.sigma0 for vesicle in settings.each_vesicle()), default=0.0)
-            found.append(f"perimeter off by {self._largest['perimeter_error']:.1%}: {better}, or a "
-                         f"-sigma0 above {stiff:g}")
+            values = {vesicle.sigma0 for vesicle in settings.each_vesicle()}
+            stiffer = f"a -sigma0 above {max(values):g}" if len(values) == 1 else "a larger -sigma0"
+            found.append(f"perimeter off by {self._largest['perimeter_error']:.1%}: {better}, or "
+                         f"{stiffer}")
         drift = self._centroid_drift()
         if drift > DRIFT:
             found.append(

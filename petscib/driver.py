@@ -112,7 +112,7 @@ class Driver:
         try:
             self._build(self.settings, comm)
         except (InputError, PETSc.Error) as error:
-            trouble = ours(error)
+            trouble = self._ours(error)
             # Since 3.19 petsc4py wraps errors of Python's in its own; those are no bad input.
             if isinstance(trouble, Crash) and str(trouble).startswith("PETSc error"):
                 trouble = InputError(f"PETSc cannot set this up: {trouble}")
@@ -125,11 +125,17 @@ class Driver:
             self.comm.Abort(trouble.exit_status)
         return self.agreement.common(trouble)[0] if agreed[0] else None
 
+    def _ours(self, error):
+        """The error of ours that an exception amounts to; an option's that PETSc refuses."""
+        trouble = ours(error)
+        option = solver_options.refused(str(trouble), self.asked)
+        return InputError(f"{option}: {trouble}") if option else trouble
+
     def _build(self, settings, comm):
-        asked = solver_options.given()
+        self.asked = solver_options.given()
         header = on_root(self.comm, self._header) if settings.restart is not None else None
         self.progress = header.progress if header else Progress()
-        self.progress.solver_options = asked
+        self.progress.solver_options = self.asked
         self.wall_seconds_before = self.progress.wall_seconds
         with stage("set-up"), phase("set-up"):
             self.remarks = []
@@ -286,6 +292,10 @@ class Driver:
                 self.writing.fields(self.state)
             self.writing.keep(self.state)
         self.interrupt.at_once = lambda: self.writing.save_at_once(self.state)
+        if self.comm.rank == 0:
+            saving = ", and saving its state" if results.writes else ""
+            self.interrupt.notice = (f"petscib: finishing this step{saving}; a second Ctrl-C ends "
+                                     "the run at once")
 
     def _next(self):
         with stage("stepping"):
@@ -297,7 +307,7 @@ class Driver:
 
     def _finish(self):
         results = self.results
-        self.interrupt.at_once = None
+        self.interrupt.at_once, self.interrupt.notice = None, ""
         if not self.signal:
             self._save("final.h5")
         results.close()
@@ -401,7 +411,7 @@ class Driver:
 
     def _trouble(self, error):
         """What an exception amounts to; where it was raised is noted.  Not collective."""
-        trouble = ours(error)
+        trouble = self._ours(error)
         if isinstance(trouble, Crash):
             self.traceback = traceback.format_exc()
         return trouble
@@ -461,17 +471,17 @@ class Driver:
         return self._last_words(error, saved)
 
     def _last_words(self, error, saved):
-        advice = self.scheme.advice
+        advice = f"; {self.scheme.advice}"
         if isinstance(error, WallError):
-            advice = "a larger -domain leaves it room"
+            advice = "; a larger -domain leaves it room"
         elif isinstance(error, CrossingError):
-            advice = "a finer grid, a smaller -ts_dt or -contact keeps them apart"
+            advice = "; a finer grid, a smaller -ts_dt or -contact keeps them apart"
         elif isinstance(error, Crash):
-            advice = f"{self.results.traceback} says where"
+            advice = f"; {self.results.traceback} says where"
         elif isinstance(error, InputError):
-            advice = "-help names what is allowed"
+            advice = "; -help petsc names what is allowed" if "PETSc error" in str(error) else ""
         return type(error)(
-            f"step {self.state.step + 1} from time {self.state.time:.6g} failed: {error}; "
+            f"step {self.state.step + 1} from time {self.state.time:.6g} failed: {error}"
             f"{advice}; {saved}"
         )
 

@@ -1,6 +1,8 @@
 """Signals that ask a run to stop: noted when they come, acted upon between two steps."""
 
+import os
 import signal
+from contextlib import suppress
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGUSR1)
 
@@ -18,11 +20,14 @@ class Interrupt:
     at_once : callable or None
         Called when SIGTERM comes, wherever the program is: its sender may not wait for the end of
         the step.
+    notice : str
+        Printed at the first Ctrl-C: the step may still take long.
     """
 
     def __init__(self):
         self.caught = 0
         self.at_once = None
+        self.notice = ""
         self._before = {}
 
     def __enter__(self):
@@ -40,6 +45,15 @@ class Interrupt:
             act()
         if kind == signal.SIGINT:
             signal.signal(kind, signal.SIG_DFL)
+            if self.notice:
+                say(self.notice)
+
+
+def say(line):
+    """Print a line from within a signal's handler: `print` may be at work just now."""
+    with suppress(OSError):
+        start = "\n" if os.isatty(2) else ""  # where a progress bar and ^C are
+        os.write(2, f"{start}{line}\n".encode())
 
 
 def heeded(kinds):

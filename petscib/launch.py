@@ -23,6 +23,7 @@ from contextlib import suppress
 from functools import lru_cache
 from threading import Lock, Thread
 
+from . import interrupt
 from .errors import InputError
 from .interrupt import heeded
 
@@ -176,6 +177,8 @@ def main(arguments):
 
     def stop(kind, frame):
         asked.append(kind)  # first, as the next signal may come any time
+        if asked == [signal.SIGINT]:
+            interrupt.say("petscib: told to end after this step; a second Ctrl-C ends it at once")
         job.send_signal(signal.SIGTERM if len(asked) > 1 else signal.SIGUSR1)
 
     outlets = [_Outlet(stream.fileno()) for stream in (sys.stdout, sys.stderr)]

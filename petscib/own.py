@@ -1,5 +1,8 @@
 """What a script or a scene's file gives in place of an option's text: functions and points."""
 
+import os
+import traceback
+
 import numpy as np
 
 from .errors import InputError
@@ -45,6 +48,24 @@ class Function:
         if not (np.isfinite(u).all() and np.isfinite(v).all()):
             raise self.refused("is not finite everywhere in the box")
         return u, v
+
+    def tried(self, x, y, time):
+        """The same at the start of a run, where whatever it raises is bad input.
+
+        Raises
+        ------
+        InputError
+            It raises an exception, or does not return two finite components.
+        """
+        try:
+            return self(x, y, time)
+        except InputError:
+            raise
+        except Exception as error:
+            frame = traceback.extract_tb(error.__traceback__)[-1]
+            where = "" if frame.filename == __file__ else (
+                f" ({os.path.basename(frame.filename)}, line {frame.lineno})")
+            raise self.refused(f"{type(error).__name__}: {error}{where}") from error
 
     def refused(self, why, allowed="a function (x, y, t) -> (x component, y component)"):
         """The error to raise where it does not serve."""

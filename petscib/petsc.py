@@ -38,7 +38,10 @@ def start(arguments):
         said = [line.partition("PETSC ERROR: ")[2].strip() for line in words]
         said = [line for line in said if line and not line.startswith("-")]
         why = said[1] if len(said) > 1 else str(failure)
-        error = InputError(f"PETSc cannot read its options: {why}")
+        files = [value for option, value in zip(arguments, arguments[1:])
+                 if option.lower().endswith(("-options_file", "-options_file_yaml"))]
+        where = f" (given in {', '.join(files)})" if files else ""
+        error = InputError(f"PETSc cannot read its options{where}: {why}")
         if MPI.COMM_WORLD.size > 1:  # which may fail as well, or sleep
             if MPI.COMM_WORLD.rank > 0:
                 time.sleep(PATIENCE)

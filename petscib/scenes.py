@@ -250,5 +250,6 @@ def listing():
 
 def _steps(scene):
     others = scene.cfl_of("")
-    more = f"; {others:g} h / V with other schemes but gcn" if others < scene.cfl else ""
+    best = " and ".join(dict.fromkeys((scene.settings.get("scheme", "gcn"), "gcn")))
+    more = f" with {best}, {others:g} h / V with other schemes" if others < scene.cfl else ""
     return f"{scene.cfl:g} h / V{more}"

@@ -67,8 +67,9 @@ def reject_stray_words(arguments):
         ours = option is not None
         if len(words) > 2 or not words[0].startswith("-") or (ours and len(word.split()) > 1):
             allowed = option.kind.allowed if ours else "-name value"
-            raise InputError(f"{shortened(' '.join(words))}: one value without blanks may follow "
-                             f"an option; allowed: {allowed}")
+            why = ("one value without blanks may follow an option" if words[0].startswith("-")
+                   else "neither an option nor the value of one")
+            raise InputError(f"{shortened(' '.join(words))}: {why}; allowed: {allowed}")
 
 
 def _named(source, action):

@@ -69,6 +69,8 @@ def _word(path, number, word):
     name, equals, text = word.partition("=")
     name = name.lower()
     where = f"-vesicle_file {path}: line {number}: "
+    if not equals and name in OWN:
+        raise InputError(f"{where}{word}: needs a value; allowed: {word}=value, without blanks")
     if not equals or name not in OWN:
         near = options.nearest(name, OWN)
         raise InputError(f"{where}{shortened(word)}: not a value of a vesicle; allowed: {ALLOWED}"

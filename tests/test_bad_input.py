@@ -42,7 +42,9 @@ WRONG = [
     ("ts_max_time", "1e300", "its magnitude is above 1e60"),
     ("shear_rate", "-1e61", "its magnitude is above 1e60"),
     ("sigma0", "1e300", "its magnitude is above 1e60"),
-    ("coupled_pc_type", "nosuch", "Unable to find requested PC type nosuch"),
+    ("coupled_pc_type", "nosuch", "-coupled_pc_type nosuch: PETSc error 86: Unable to find"),
+    ("coupled_ksp_type", "", "-coupled_ksp_type: PETSc error 86: "),
+    ("coupled_ksp_rtol", "abc", "-coupled_ksp_rtol abc: PETSc error 63: Input string abc"),
     ("stag_ranks_x", "3", "PETSc cannot set this up: PETSc error 63: "),
     ("ts_max_time", "-1", "out of range"),
     ("ts_max_steps", "1.5", "not a whole number"),
@@ -258,7 +260,7 @@ def test_nothing_in_a_file_is_cut_off_in_silence(tmp_path, monkeypatch, name):
     (["-options_file", "none"], "-options_file none: No such file or directory"),
     (["-options_file", "folder"], "-options_file folder: Is a directory"),
     (["-axes", "0.1", "0.5"], "-axes 0.1 0.5: one value without blanks"),
-    (["tanktreading"], "tanktreading: one value without blanks")])
+    (["tanktreading"], "tanktreading: neither an option nor the value of one")])
 def test_what_is_no_option_or_file_of_them(tmp_path, monkeypatch, arguments, message):
     monkeypatch.chdir(tmp_path)
     os.mkdir("folder")
@@ -269,7 +271,7 @@ def test_what_is_no_option_or_file_of_them(tmp_path, monkeypatch, arguments, mes
 
 @pytest.mark.parametrize("text, fragment", [
     ("-output my folder", "PETSC_OPTIONS: -output my folder: one value without blanks"),
-    ("mu 2", "PETSC_OPTIONS: mu: one value"), ("-mu 2 -fft\n-rho 3", None)])
+    ("mu 2", "PETSC_OPTIONS: mu: neither an option"), ("-mu 2 -fft\n-rho 3", None)])
 def test_nothing_in_the_environment_is_cut_off_in_silence(text, fragment):
     if fragment is None:
         return sources.check([], {"PETSC_OPTIONS": text})
@@ -288,7 +290,7 @@ COMMANDS = [
     (["-restart", "bad.txt"], "bad.txt: not an HDF5 file"),
     (["-options_file", "bad.options"], "-mu -1: out of range"),
     (["-output", "/proc/petscib"], "/proc/petscib: No such file or directory"),
-    (["-options_file_yaml", "bad.yaml"], "PETSc cannot read its options: "),
+    (["-options_file_yaml", "bad.yaml"], "PETSc cannot read its options (given in bad.yaml): "),
     (["-stag_ranks_x", "3"], "PETSc cannot set this up: PETSc error 63: "),
 ]
 

@@ -603,7 +603,7 @@ def test_iterations_hardly_grow_with_the_contrast(equations, scheme, transforms)
     ({"viscosity_contrast": "1e4"}, "number from 0.01 to 1000"),
     ({"viscosity_contrast": "2", "shape": "plate"}, "a plate has no inside"),
     ({"vesicles": "0", "viscosity_contrast": "2"}, "there is no vesicle"),
-    ({"vesicle_1_viscosity_contrast": "2"}, "the last of 1 vesicles is number 0")])
+    ({"vesicle_1_viscosity_contrast": "2"}, "the only vesicle is number 0")])
 def test_bad_input(words, says):
     with pytest.raises(InputError, match=says):
         options.read(words)

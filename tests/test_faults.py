@@ -18,6 +18,7 @@ from runs import SMALL, arrays, assert_same_run, prepare, rows, run
 from petscib import guard, options, schemes
 from petscib.driver import Driver
 from petscib.errors import Crash, InputError, SolveError, WallError, ours
+from petscib.interrupt import Interrupt
 from petscib.output import checkpoint, lock, plots
 from petscib.solvers import krylov
 
@@ -186,6 +187,19 @@ def test_only_a_second_ctrl_c_ends_at_once():
     assert ending(*[signal.SIGTERM, signal.SIGHUP, signal.SIGUSR1] * 3, signal.SIGINT) == 0
 
 
+def test_the_first_ctrl_c_says_what_follows(tmp_path, capfd):
+    with Interrupt() as interrupt:
+        simulation = prepare(tmp_path, ts_max_steps="9")
+        simulation.interrupt = interrupt
+        next(simulation.steps())
+        os.kill(os.getpid(), signal.SIGINT)
+        simulation.run()
+        simulation.destroy()
+    assert simulation.state.step == 2 and interrupt.notice == ""
+    assert capfd.readouterr().err == ("petscib: finishing this step, and saving its state; "
+                                      "a second Ctrl-C ends the run at once\n")
+
+
 # --- the disk
 
 SMALL_FILES = """
@@ -220,6 +234,13 @@ def test_a_full_disk(petscib, tmp_path):
         assert "No space left on device; the last checkpoint is disk/run/checkpoint-" in line
         subprocess.run(["mount", "-o", "remount,size=9m", disk], check=True)
         assert_goes_on(disk / "run", steps=12)
+        with suppress(OSError), open(disk / "filler", "wb", buffering=0) as file:
+            while True:
+                file.write(bytes(4096))
+        (disk / "full").mkdir()
+        line = one_line(petscib(*OPTIONS, "-output", "disk/full"), 2)
+        assert line == "petscib: -output disk/full: No space left on device"
+        assert not os.listdir(disk / "full")
     finally:
         subprocess.run(["umount", disk], check=True)
 
@@ -240,6 +261,13 @@ def test_a_solver_that_diverges(petscib, tmp_path):
     assert result.returncode == 3 and len(attempts) == 9
     assert "with dt = 0.0833 failed" in attempts[0] and "trying 0.0417" in attempts[0]
     assert "the state before it is in other/" in line
+
+
+def test_an_option_that_petsc_refuses_within_a_step(petscib, tmp_path):
+    result = petscib(*OPTIONS, "-output", "run", "-ts_max_steps", 4, "-momentum_ksp_rtol", -1)
+    line = one_line(result, 2)
+    assert "failed: -momentum_ksp_rtol -1: PETSc error 63: " in line and "in run/checkp" in line
+    assert_goes_on(tmp_path / "run", steps=1, momentum_ksp_rtol="1e-8")
 
 
 def test_a_state_that_is_not_finite(petscib, tmp_path):
@@ -538,7 +566,8 @@ def test_a_folder_in_use_is_refused(tmp_path):
     given = {**SMALL, "output": str(tmp_path / "run")}
     with pytest.raises(InputError) as caught:
         Driver(options.read(given))
-    assert str(caught.value).startswith(f"{tmp_path}/run: in use by process {os.getpid()} on ")
+    told = f"-output {tmp_path}/run: in use by process {os.getpid()} on "
+    assert str(caught.value).startswith(told)
     assert (tmp_path / "run" / "diagnostics.csv").read_bytes() == before
     first.run()
     first.destroy()

@@ -105,10 +105,12 @@ def test_ctrl_c_is_turned_into_a_request():
     script = ("import signal, sys, time; signal.signal(signal.SIGUSR1, lambda *a: sys.exit(0)); "
               "print('ready', flush=True); time.sleep(30)")
     process = subprocess.Popen([sys.executable, "-m", "petscib.launch", "-c", script],
-                               stdout=subprocess.PIPE, env=mpi_environment(MPIEXEC=sys.executable))
+                               stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+                               env=mpi_environment(MPIEXEC=sys.executable))
     process.stdout.readline()
     process.send_signal(signal.SIGINT)
-    assert process.wait(timeout=10) == 130
+    line, = process.communicate(timeout=10)[1].splitlines()
+    assert process.returncode == 130 and line.endswith("; a second Ctrl-C ends it at once")
 
 
 def test_a_second_ctrl_c_ends_the_job():

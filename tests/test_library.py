@@ -213,6 +213,12 @@ def test_what_cannot_be_called_is_refused():
             petscib.Simulation(**SMALL, **words)
 
 
+def test_a_measure_that_gives_no_number_is_refused():
+    with petscib.Simulation(**SMALL, measures={"width": lambda simulation: "wide"}) as simulation:
+        with pytest.raises(petscib.InputError, match="measures: width: 'wide' is no number"):
+            simulation.run()
+
+
 def test_simulations_side_by_side_do_not_share_their_options(capfd):
     """Neither what the user of one tells PETSc, nor the defaults of its solvers."""
     small = {**SMALL, "scheme": "mbe"}

@@ -3,10 +3,12 @@
 import builtins
 import io
 
+import numpy as np
 import pytest
 
+from petscib import options
 from petscib.output import monitor
-from petscib.output.words import closing_lines
+from petscib.output.words import closing_lines, opening_line
 
 
 class Clock:
@@ -212,6 +214,17 @@ def test_unknown_monitor_is_refused():
         monitor.create("loud")
 
 
+@pytest.mark.parametrize("steps, words, told", [
+    (1, {"ts_max_steps": "1"}, "mbe with dt = 0.5, 1 step; transforms and CG ("),
+    (2.0, {}, "mbe with dt = 0.5, 2 steps to t = 1; transforms"),
+    (np.inf, {"ts_rtol": "1e-3"}, "mbe with dt by -ts_rtol 0.001, to t = 1; transforms")])
+def test_the_opening_line_says_what_is_to_come(steps, words, told):
+    settings = options.read({
+        "scene": "relaxation", "scheme": "mbe", "ts_dt": "0.5", "ts_max_time": "1", "fft": "yes",
+        **words})
+    assert opening_line(settings, steps).startswith(f"relaxation, 64 x 64 cells, {told}")
+
+
 def test_closing_lines():
     summary = {
         "last_row": row(200, inclination=0.39269908, treading_frequency=0.15034),
@@ -240,11 +253,13 @@ def test_closing_lines_without_vesicle_or_steps():
     assert closing_lines({}) == []
 
 
-@pytest.mark.parametrize("most, words", [
-    (None, "-ts_max_time 10"), (3, "-ts_max_time 10 -ts_max_steps 6")])
-def test_what_to_type_next_is_beyond_all_limits(most, words):
+@pytest.mark.parametrize("time, most, words", [
+    (5.0, None, "-ts_max_time 10"), (5.0, 3, "-ts_max_time 10 -ts_max_steps 6"),
+    (2.0, 3, "-ts_max_steps 6"), (0.0, 0, "-ts_max_steps 1")])
+def test_what_to_type_next_is_beyond_the_limits_reached(time, most, words):
     options = {"ts_max_time": 5.0, "ts_max_steps": most, "given": ["scene"]}
-    summary = {"output": "out/pair", "ended": "finished", "options": options}
+    summary = {"output": "out/pair", "ended": "finished", "options": options,
+               "last_row": {"time": time}}
     assert closing_lines(summary)[-1] == (
         f"to go on            -restart latest -output out/pair {words}")
 

@@ -39,6 +39,17 @@ def test_a_function_that_does_not_serve_is_refused(call, why):
         Function(call, "flow")(np.arange(3.0), np.arange(3.0), 0.0)
 
 
+@pytest.mark.parametrize("call, why", [
+    (lambda x, y: (x, y), r"TypeError: .*<lambda>\(\) takes 2 positional arguments but 3 were"),
+    (lambda x, y, t: 1 / 0, r"ZeroDivisionError: division by zero \(test_own.py, line \d+\)")])
+def test_what_a_function_raises_is_bad_input_at_the_start(call, why):
+    with pytest.raises(InputError, match=f"-flow function <lambda>: {why}"):
+        Function(call, "flow").tried(np.arange(3.0), np.arange(3.0), 0.0)
+    with pytest.raises(Exception, match=why.partition(": ")[2].partition(r" \(test")[0]) as caught:
+        Function(call, "flow")(np.arange(3.0), np.arange(3.0), 0.0)
+    assert not isinstance(caught.value, InputError)
+
+
 def test_points_are_equal_by_what_they_are():
     points = Points([[0, 1], [2, 3]])
     assert points == Points(np.array([[0.0, 1.0], [2.0, 3.0]])) != Points([[0, 1], [2, 4]])

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("matplotlib")
+from matplotlib.figure import Figure  # noqa: E402
 from matplotlib.image import imread  # noqa: E402
 
 from petscib import plot  # noqa: E402
@@ -223,6 +224,9 @@ def test_channel_with_periodic_ends(tmp_path):
     shifts = saved.periodic_shifts(fields, X)
     assert sorted(shift[0] for shift in shifts) == [-8.0, -4.0]
     assert {shift[1] for shift in shifts} == {0.0}
+    moved, = saved.newest_in_the_box(fields._replace(outlines=[X + (0.5, 0.1)]))
+    np.testing.assert_allclose(moved, X + (-7.5, 0.1), atol=1e-12)
+    assert_picture(plots.plot_tension(tmp_path))
 
 
 def test_outlines_are_drawn_in_the_periodic_box(tmp_path):
@@ -236,6 +240,15 @@ def test_outlines_are_drawn_in_the_periodic_box(tmp_path):
     np.testing.assert_allclose(moved, X + (10.0, 0.0), atol=1e-12)
     assert_picture(plots.plot_outlines(tmp_path))
     assert_picture(plots.plot_inclination(tmp_path))  # the fluid is driven
+
+
+def test_sides_of_the_box_are_lines_or_dashed():
+    axis = Figure().subplots()
+    views._draw_sides(axis, {})
+    assert not axis.lines
+    views._draw_sides(axis, {"domain": [0, 4, -1, 1], "periodic": "x"})
+    assert [line.get_linestyle() for line in axis.lines] == ["--", "--", "-", "-"]
+    assert [tuple(line.get_xdata()) for line in axis.lines] == [(0, 0), (4, 4), (0, 4), (0, 4)]
 
 
 def test_vorticity_and_centre_velocity_are_exact_for_linear_flows():

@@ -339,7 +339,7 @@ def test_a_list_of_vesicles(tmp_path):
     ("center=0,0\naxs=1,2\n", {}, ["line 2: axs=1,2: not a value of a vesicle", "nearest: axes"]),
     ("axes=1\n", {}, ["line 1: -axes 1: not 2 values"]),
     ("\n# none\n", {}, ["lists no vesicle"]),
-    ("center 0,0\n", {}, ["line 1: center: not a value"]),
+    ("center 0,0\n", {}, ["line 1: center: needs a value"]),
     ("center=0,0\n", {"vesicles": "2"}, ["-vesicles 2: ", "lists 1"]),
     (None, {}, ["No such file"]),
 ])

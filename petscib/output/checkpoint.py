@@ -328,7 +328,7 @@ def _expect(path, file, name, shape):
     if wrong or dataset.dtype.kind != "f":
         raise _unfit(
             path, f"{name} is an array of {dataset.dtype} and shape {dataset.shape}; allowed: "
-            f"floats of shape {shape}"
+            f"floats of shape {str(shape).replace('None', 'any')}"
         )
 
 

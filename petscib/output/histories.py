@@ -39,6 +39,8 @@ DISSIPATION = (
 )
 SUPPLY_NAMES = {"wall_power": "walls", "body_power": "body force", "load_power": "loads",
                 "reset": "stretching reset"}
+# Dashes let the line of a vesicle that moves alike be seen below.
+VESICLE_LINES = "-", (0, (4, 4)), (0, (1, 1.5))
 SUPPLY_STYLES = (":", "-.", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (7, 2)), (0, (3, 1, 1, 1)))
 
 
@@ -62,8 +64,9 @@ def plot_inclination(folder, output=None):
         axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
         for axis, (label, values) in zip(axes, panels):
             for vesicle, series in enumerate(values.T):
-                colour = VESICLE_COLOURS[vesicle % len(VESICLE_COLOURS)]
-                _line(axis, table["time"], series, color=colour, label=f"vesicle {vesicle}")
+                style = dict(color=VESICLE_COLOURS[vesicle % len(VESICLE_COLOURS)],
+                             ls=VESICLE_LINES[vesicle % len(VESICLE_LINES)])
+                _line(axis, table["time"], series, label=f"vesicle {vesicle}", **style)
             axis.set_ylabel(label)
             axis.set_ylim(_robust_limits(values))
         if 1 < panels[0][1].shape[1] <= len(VESICLE_COLOURS):
@@ -100,7 +103,8 @@ def plot_conservation(folder, output=None):
         for name, colour, symbol, counts in solves:
             label = {"poisson": "Poisson", "picard": "Picard"}.get(name, name)
             size = 3.5 if len(counts) <= 300 else 2.5
-            style = dict(linestyle="none", marker=symbol, markersize=size, markeredgewidth=0)
+            style = dict(linestyle="none", marker=symbol, markersize=size, markeredgewidth=0,
+                         clip_on=False)
             axes[-1].plot(table["time"], counts, color=colour, label=label, **style)
         if solves:
             axes[-1].set_ylabel("iterations per step")
@@ -126,7 +130,8 @@ def plot_energy(folder, output=None):
     with picture(path_of(folder, output, "energy.png"), 6.0, 5.6) as figure:
         axes = figure.subplots(2, 1, sharex=True)
         for axis, positive in zip(axes, (False, True)):
-            line = dict(color="black", label="total", positive=positive)
+            # Wide, to be seen below a part that is nearly all of it.
+            line = dict(color="black", lw=3.0, label="total", positive=positive)
             _line(axis, table["time"], total, **line)
             for name, colour, values in parts:
                 _line(axis, table["time"], values, positive=positive, color=colour, label=name)

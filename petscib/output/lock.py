@@ -43,9 +43,13 @@ class Lock:
             self._file.close()  # its holder has removed it in between
         if self.holds:
             now = time.strftime("%Y-%m-%d %H:%M:%S")
-            self._file.truncate(0)
-            self._file.write(f"process {os.getpid()} on {socket.gethostname()} since {now}\n")
-            self._file.flush()
+            try:
+                self._file.truncate(0)
+                self._file.write(f"process {os.getpid()} on {socket.gethostname()} since {now}\n")
+                self._file.flush()
+            except OSError:  # the disk is full
+                self.release()
+                raise
 
     def _is_there(self):
         try:
@@ -59,7 +63,8 @@ class Lock:
             if self.holds:
                 with suppress(OSError):
                     os.unlink(self._path)
-            self._file.close()
+            with suppress(OSError):  # what a full disk has not taken
+                self._file.close()
 
 
 def check(folder):

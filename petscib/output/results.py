@@ -13,6 +13,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from .. import installation
+from ..agreement import on_root
 from ..errors import InputError, ours
 from . import checkpoint, files, lock, monitor, tables
 from .files import by_root
@@ -65,7 +66,7 @@ class Results:
         self.last_row = None
         self.diagnostics = self.outlines = self.lock = None
         try:
-            by_root(self.comm, lambda: self._open(columns, header), InputError)
+            on_root(self.comm, lambda: self._make_ready(columns, header))
         except InputError:
             self.release()
             raise
@@ -74,6 +75,13 @@ class Results:
             from .xdmf import Series
 
             self.series = Series(self.folder, problem)
+
+    def _make_ready(self, columns, header):
+        try:
+            self._open(columns, header)
+        except OSError as failure:
+            why = files.explain(failure, failure.filename or self.folder)
+            raise InputError(f"-output {why}") from None
 
     def _open(self, columns, header):
         """Make the folder ready and open the tables.  Rank 0 only."""

@@ -126,11 +126,19 @@ def in_the_box(moments, options):
         return moments
     low, high = np.reshape(options["domain"], (2, 2)).T
 
-    def moved(X):
-        periods = np.floor((X.mean(axis=0) - low) / (high - low))
-        return X - np.where(periodic, periods * (high - low), 0.0)
+    return [(time, [(vesicle, _moved(X, low, high, periodic)) for vesicle, X in outlines])
+            for time, outlines in moments]
 
-    return [(time, [(vesicle, moved(X)) for vesicle, X in outlines]) for time, outlines in moments]
+
+def newest_in_the_box(fields):
+    """The outlines of the newest saved file, moved like those of `in_the_box`."""
+    low, high = np.reshape(fields.domain, (2, 2)).T
+    return [_moved(X, low, high, _is_periodic(fields)) for X in fields.outlines]
+
+
+def _moved(X, low, high, periodic):
+    periods = np.floor((X.mean(axis=0) - low) / (high - low))
+    return X - np.where(periodic, periods * (high - low), 0.0)
 
 
 def to_their_ends(moments, options):

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from . import saved
-from .style import MARKED_POINT, SKY, VESICLE_COLOURS, path_of, picture
+from .style import GREY, MARKED_POINT, SKY, VESICLE_COLOURS, path_of, picture
 
 PANELS = 8  # times at which outlines are shown
 FEW = 4  # vesicles whose stars do not hide them
@@ -18,7 +18,7 @@ FRAMES_PER_SECOND = 15
 
 def plot_outlines(folder, output=None):
     """``outlines.png``: the vesicles at up to eight times, marker 0 as a star (paper, Fig. 2)."""
-    moments = saved.outlines(folder)
+    moments, options = saved.outlines(folder), saved.read_options(folder)
     if not moments:
         return None
     times = np.array([time for time, _ in moments])
@@ -33,6 +33,7 @@ def plot_outlines(folder, output=None):
         shared = len(set(boxes)) == 1
         axes = figure.subplots(rows, columns, squeeze=False, sharex=shared, sharey=shared)
         for axis, (time, outlines), box in zip(axes.flat, panels, boxes):
+            _draw_sides(axis, options)
             _draw_outlines(axis, outlines)
             box.frame(axis)
             axis.locator_params(nbins=4)
@@ -95,7 +96,8 @@ def plot_tension(folder, output=None):
     fields = saved.read_fields(folder)
     if fields is None or not any(np.any(tension) for tension in fields.tensions):
         return None
-    box = _common_box([list(enumerate(fields.outlines))])
+    outlines = saved.newest_in_the_box(fields)
+    box = _common_box([list(enumerate(outlines))])
     # A few edges, as at the tips of a thin vesicle, would otherwise set the whole scale.
     low, high = np.quantile(np.concatenate(fields.tensions), [0.01, 0.99])
     scale = dict(cmap="plasma", clim=(low, high if high > low else low + 1.0))
@@ -104,7 +106,7 @@ def plot_tension(folder, output=None):
     size = width + 1.4, width * shape + 0.7
     with picture(path_of(folder, output, "tension.png"), *size) as figure:
         axis = figure.subplots()
-        for X, tension in zip(fields.outlines, fields.tensions):
+        for X, tension in zip(outlines, fields.tensions):
             edges = np.stack((X[:-1], X[1:]), axis=1)
             image = LineCollection(edges, array=tension, linewidths=3.5, capstyle="round", **scale)
             axis.add_collection(image)
@@ -125,7 +127,7 @@ def animate(folder, output=None, mp4=False):
     """
     from matplotlib import animation
 
-    moments = saved.outlines(folder)
+    moments, options = saved.outlines(folder), saved.read_options(folder)
     if not moments:
         return None
     if mp4 and not animation.FFMpegWriter.isAvailable():
@@ -145,6 +147,7 @@ def animate(folder, output=None, mp4=False):
         with writer.saving(figure, figure.path, dpi=100):
             for time, outlines in frames:
                 axis.clear()
+                _draw_sides(axis, options)
                 _draw_outlines(axis, outlines)
                 box.frame(axis)
                 axis.set(xlabel="$x$", ylabel="$y$")
@@ -202,6 +205,17 @@ def _time_text(time, largest):
 def _finite_max(values, quantile=1.0):
     finite = values[np.isfinite(values)]
     return float(np.quantile(finite, quantile)) if finite.size else 0.0
+
+
+def _draw_sides(axis, options):
+    """The sides of the box, as far as they are in view: walls as lines, periodic ones dashed."""
+    if "domain" not in options:
+        return
+    a, b, c, d = options["domain"]
+    along_x, along_y = ("--" if name in options.get("periodic", "none") else "-" for name in "xy")
+    for x, y, style in (((a, a), (c, d), along_x), ((b, b), (c, d), along_x),
+                        ((a, b), (c, c), along_y), ((a, b), (d, d), along_y)):
+        axis.plot(x, y, color=GREY, linestyle=style, linewidth=1.0)
 
 
 def _draw_outlines(axis, outlines):

@@ -22,19 +22,21 @@ def opening_line(settings, steps):
     if settings.fft:
         method = " and FGMRES" if settings.has_contrast else " and CG" if settings.vesicles else ""
         solvers = "transforms" + method
-        others = "without -fft multigrid"
+        others = "without -fft: multigrid"
     elif SCHEMES[settings.scheme].coupled:
         solvers = "FGMRES with GAMG for velocity and pressure together"
         others = "-fft: transforms, -scheme mcn: CG with GAMG for velocity, then for pressure"
     else:
         solvers = "CG with GAMG for velocity, then for pressure"
         others = "-fft: transforms"
-    count = f"{steps:.0f} steps" if math.isfinite(steps) else "steps"
+    count = [_count(steps)] if math.isfinite(steps) else []
     if settings.ts_max_steps is None:
-        count += f" to t = {settings.ts_max_time:g}"
+        count.append(f"to t = {settings.ts_max_time:g}")
+    dt = (f"dt = {settings.ts_dt:.4g}" if settings.ts_rtol is None
+          else f"dt by -ts_rtol {settings.ts_rtol:g}")
     return (
         f"{settings.scene}, {settings.stag_grid_x} x {settings.stag_grid_y} cells, "
-        f"{settings.scheme} with dt = {settings.ts_dt:.4g}, {count}; {solvers} ({others})"
+        f"{settings.scheme} with {dt}, {' '.join(count)}; {solvers} ({others})"
     )
 
 
@@ -67,6 +69,10 @@ def closing_lines(summary):
     if summary.get("ended", FINISHED) != FINISHED:
         lines.append(f"stopped early; to go on: -restart latest -output {summary['output']}")
     return lines
+
+
+def _count(steps):
+    return f"{steps:.0f} step" if steps == 1 else f"{steps:.0f} steps"
 
 
 def _line(title, text):
@@ -106,9 +112,8 @@ def _speed(summary):
         return []
     set_up = summary.get("phase_seconds", {}).get("set-up", 0.0)
     seconds -= set_up
-    count = f"{steps} step" if steps == 1 else f"{steps} steps"
-    return [_line("seconds per step", f"{seconds / steps:.3g} ({count} in {seconds:.3g} s, after "
-                                      f"{set_up:.2g} s of set-up)")]
+    return [_line("seconds per step", f"{seconds / steps:.3g} ({_count(steps)} in {seconds:.3g} s, "
+                                      f"after {set_up:.2g} s of set-up)")]
 
 
 def _what_next(summary, options):
@@ -120,10 +125,12 @@ def _what_next(summary, options):
     lines = [_line("look at", ", ".join(os.path.join(folder, name) for name in look))]
     end = options.get("ts_max_time")
     if end is not None and summary.get("ended") == FINISHED:
-        on, most = f"-ts_max_time {2 * end:g}", options.get("ts_max_steps")
-        if most is not None:  # a restart refuses the limit that it has reached
-            on += f" -ts_max_steps {2 * most}"
-        lines.append(_line("to go on", f"-restart latest -output {folder} {on}"))
+        # A restart refuses the limit that it has reached.
+        most, time = options.get("ts_max_steps"), (summary.get("last_row") or {}).get("time")
+        more = [] if most is None else [f"-ts_max_steps {max(2 * most, 1)}"]
+        if most is None or time is None or time > (1 - 1e-6) * end:
+            more.insert(0, f"-ts_max_time {2 * end:g}")
+        lines.append(_line("to go on", " ".join(["-restart latest -output", folder, *more])))
         if not options.get("given"):
             lines.append(_line("something else", "-scene list, -help, -stag_grid_x 128 -fft"))
     return lines
