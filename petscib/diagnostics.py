@@ -143,7 +143,7 @@ class Diagnostics:
         row = {"min_gap": gap if np.isfinite(gap) else None}
         for name, values in measured.items():
             for column, value in zip(numbered([name], self.vesicles), values):
-                row[column] = value
+                row[column] = None if np.isnan(value) else value
         for number in np.flatnonzero(np.isnan(measured["area"])):  # that enclose no area
             suffix = f"_{number}" if self.vesicles > 1 else ""
             for name in ("area", "area_error", "inclination", "turns", "treading_frequency"):
@@ -162,8 +162,7 @@ class Diagnostics:
             "centroid_y": center[:, 1],
         }
         if turning.TURNING in state.history:
-            measured["turns"], took = turning.measure(state)
-            measured["half_turn"] = [None if np.isnan(time) else time for time in took]
+            measured["turns"], measured["half_turn"] = turning.measure(state)
         if step is not None:
             # It treads as seen from its middle, which drifts where it is not held.
             drift = (center - geometry.centroid(step.start.markers, curves)) / step.dt
