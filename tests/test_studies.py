@@ -162,7 +162,7 @@ def test_the_search_for_the_largest_step(limit, relation, found, doubted, again)
 
     answer = maxstep.search(judge, 1 / 16, 64.0, 2, doubted)
     assert answer[:2] == (relation, pytest.approx(found))
-    assert len(tried) <= 6 + np.log2(64 / doubted)
+    assert len(tried) <= np.log2(64 / max(min(found / 2, doubted), 1 / 16)) + 2
     if relation == "=":
         assert answer[2] == f"trouble at {2 ** 0.5 * found:.4g}"
 

@@ -7,7 +7,7 @@ The explicit scheme would need up to millions of steps for that, so it only has 
 number of steps from rest, which the table names: its limit here is an upper bound of the true one.
 A step so long that the run has few may hold where a shorter one does not, so that the limit is the
 largest step below which none fails: every octave is tried at which a run has fewer than `FEW`
-steps.  Otherwise the search takes it that a step above an unstable one is unstable too.
+steps; below, and with the explicit scheme, the first that holds stands for all shorter ones.
 
 The paper's literal method comes first, and beside it the corrected one.
 """
@@ -145,7 +145,7 @@ def trouble(outcome, criterion):
 
 
 def search(judge, low, high, octave, doubted):
-    """The largest step below which none gives trouble, by bisection of its logarithm.
+    """The largest step below which none gives trouble: from long ones down, octave by octave.
 
     Parameters
     ----------
@@ -155,8 +155,7 @@ def search(judge, low, high, octave, doubted):
     octave : int
         Steps told apart between one and its double.
     doubted : float
-        Every octave from here to `high` is judged; below, trouble at one step stands for trouble at
-        all longer ones.
+        A step without trouble that is longer says nothing of shorter ones.
 
     Returns
     -------
@@ -168,13 +167,13 @@ def search(judge, low, high, octave, doubted):
     steps = high * 2.0 ** (-np.arange(count + 1)[::-1] / octave)  # steps[0] is about `low`
     good, bad, above = -1, count + 1, ""
     for index in range(count, -1, -octave):
-        if steps[index] < doubted:
-            break
         found = judge(float(steps[index]))
         if found:
             good, bad, above = -1, index, found
         elif good < 0:
             good = index
+        if not found and steps[index] <= doubted:
+            break
     if bad > count:
         return AT_LEAST, high, ""
     while bad - good > 1:
