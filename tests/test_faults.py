@@ -171,6 +171,7 @@ def ending(*kinds):
 
     child = os.fork()
     if child == 0:
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)  # also where the tests run under nohup
         with Interrupt() as interrupt:
             for kind in kinds:
                 os.kill(os.getpid(), kind)
