@@ -71,7 +71,7 @@ def build_problem(settings, comm, header=None, remarks=None, own_laws=()):
         return problem, checkpoint.load_state(header, grid, markers, stretch)
     velocity, pressure = grid.velocity_vector(), grid.pressure_vector()
     sides.fill(velocity)
-    if callable(settings.flow):
+    if callable(settings.flow) or settings.flow == "taylor-green":
         _make_solenoidal(operators, velocity, settings.fft)
     return problem, State(0, 0.0, velocity, pressure, markers, stretch)
 
@@ -134,7 +134,7 @@ def _own(makers, curves, markers, others, comm):
 
 
 def _make_solenoidal(operators, velocity, fft):
-    """Take the divergence from a flow: that of the user's has one on the grid.  Collective."""
+    """Take the divergence from a flow, of which one given at points may have some.  Collective."""
     solver = poisson.poisson_solver(operators, fft)
     source, potential = (operators.grid.pressure_vector() for _ in range(2))
     operators.divergence.mult(velocity, source)

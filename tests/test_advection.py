@@ -355,6 +355,19 @@ def test_order_in_space(tmp_path):
     assert np.log2(errors[0] / errors[1]) >= 1.8
 
 
+def test_vortices_have_no_divergence_on_cells_of_any_shape(tmp_path):
+    run(tmp_path, scene="taylor-green", stag_grid_x=16, stag_grid_y=20, fft="yes", scheme="cn",
+        startup=0, ts_max_steps=2)
+    assert rows(tmp_path)["max_divergence"].max() < 1e-13
+
+
+@pytest.mark.parametrize("scheme", ["gbe", "gcn"])
+def test_where_nothing_moves(tmp_path, scheme):
+    simulation = run(tmp_path, scene="tanktreading", flow="rest", bending=0, axes="0.25,0.4",
+                     scheme=scheme, advection="implicit", fft="yes", stag_grid_x=16, ts_max_steps=2)
+    assert simulation.state.step == 2 and simulation.state.velocity.norm() == 0.0
+
+
 def test_the_scene_of_decaying_vortices(tmp_path):
     simulation = run(tmp_path, scene="taylor-green", stag_grid_x=32, fft="yes", ledger="error")
     energy = rows(tmp_path)["energy"]

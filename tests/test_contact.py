@@ -322,9 +322,17 @@ def test_the_power_of_a_load_is_that_of_the_markers_motion(scheme):
     stepper.destroy()
 
 
+@pytest.mark.parametrize("scheme", ["mbe", "gbe"])
+@pytest.mark.parametrize("fft", ["yes", "no"])
+def test_contact_alone_with_nothing_near(tmp_path, scheme, fft):
+    words = {**GCN, "scheme": scheme, "fft": fft, "sigma0": "0", "bending": "0", "contact": "20"}
+    assert largest_residual(tmp_path, **words) < 1e-10
+
+
 @pytest.mark.parallel([1, 2])
-def test_restart_and_ranks_with_contact(tmp_path):
-    words = {**CLOSE, "vesicle_0_tether": "1", "load": "0,1"}
+@pytest.mark.parametrize("steps", [{}, {"scheme": "ep", "ts_dt": "1e-4"}])
+def test_restart_and_ranks_with_contact(tmp_path, steps):
+    words = {**CLOSE, "vesicle_0_tether": "1", "load": "0,1", **steps}
     run(tmp_path / "whole", **words, checkpoint_every="3", ts_max_steps="6")
     run(tmp_path / "parts", **words, ts_max_steps="3")
     run(tmp_path / "parts", restart=str(tmp_path / "parts/final.h5"), ts_max_steps="6")

@@ -624,3 +624,11 @@ def test_stresses_reach_further_to_the_walls(delta, more):
     problem.operators_at(state.markers)
     with pytest.raises(InputError, match="comes within"):
         options.read(place(reach - 0.01))
+
+
+def test_the_modified_schemes_pressure_has_no_mean(tmp_path):
+    run(tmp_path, scheme="mbe", fft="yes", stag_grid_x="24", axes="0.3,0.5", viscosity_contrast="5",
+        ts_max_steps="2", ts_dt="0.05")
+    with h5py.File(tmp_path / "final.h5") as file:
+        pressure = file["fluid/p"][...]
+    assert abs(pressure.mean()) < 1e-13 * np.ptp(pressure)

@@ -100,7 +100,8 @@ class Geometric(StageScheme):
                 change = self._relative_change(guess, markers, state.markers)
                 if self._carried is not None:
                     self._carried.axpy(-1.0, stage.velocity)
-                    change = max(change, self._carried.norm() / stage.velocity.norm())
+                    moved, speed = self._carried.norm(), stage.velocity.norm()
+                    change = max(change, moved / speed if speed else float(moved > 0))
                 guess = acceleration.next(guess, markers)
             passes += 1
 

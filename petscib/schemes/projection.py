@@ -57,6 +57,8 @@ class Projection:
             divergence.pointwiseMult(divergence, viscosity.cells)
             mu = 1.0
         pressure.axpy(-theta * mu * dt, divergence)
+        if viscosity is not None:  # which weights the divergence, whose mean alone is zero
+            pressure.shift(-pressure.sum() / pressure.getSize())
         return phi, iterations
 
     def destroy(self):

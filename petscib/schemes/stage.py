@@ -173,8 +173,13 @@ class StageScheme:
                     stress=stage.stress, transport=self._transport, **rest)
 
     def forget(self):
-        """Drop what depends on earlier steps and is in no checkpoint."""
+        """Drop what depends on earlier steps and is in no checkpoint.
+
+        When this is called as one is written, a restart from it is the uninterrupted run.
+        """
         self.system.forget()
+        if self.problem.membranes is not None:
+            self.problem.membranes.forget()
 
     def destroy(self):
         """Free the solver."""

@@ -222,7 +222,8 @@ class MarkerModel:
         rates = operators.rates.data
         if interval != self._interval:
             self._fit(interval)
-        elif self._rates is not None and abs(rates - self._rates).max() <= KEPT * abs(rates).max():
+        elif self._rates is not None and (
+                abs(rates - self._rates).max(initial=0) <= KEPT * abs(rates).max(initial=0)):
             return
         self._rates = rates
         interpolation = operators.interpolation.on_root()

@@ -63,8 +63,10 @@ class Product:
 
     def values(self, first, second):
         """The product's values (`data`) for those of the factors."""
-        return np.bincount(
-            self._entry, first[self._first] * second[self._second], len(self.indices))
+        values = first[self._first] * second[self._second]
+        if not len(values):  # whose sums are integers
+            return values
+        return np.bincount(self._entry, values, len(self.indices))
 
     def csr(self, values):
         """The matrix with these values."""

@@ -200,12 +200,7 @@ class ImplicitSystem:
         return iterations
 
     def forget(self):
-        """Drop what depends on earlier steps and is in no checkpoint.
-
-        When this is called as one is written, a restart from it is the uninterrupted run.
-        """
-        if self.membranes is not None:
-            self.membranes.forget()
+        """Drop what depends on earlier steps and is in no checkpoint."""
         self._iteration.forget()
 
     def destroy(self):
