@@ -22,6 +22,7 @@ from .campaign import Campaign
 
 STIFFNESSES = 1e7, 1e8, 1e9
 END = 1.0
+# With mbe corrected, 128^2 and sigma0 = 1e7 one step to T holds, 2 to 16 do not, and 23 do.
 FEW = 64
 TOLERANCE = 0.01
 LARGEST = 64.0  # in units of h
