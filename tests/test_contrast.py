@@ -393,6 +393,7 @@ class ContrastStep(CorrectedStep):
     def project(self, intermediate, viscosity):
         velocity, cells = super().project(intermediate, 0.0), self.grid.n * self.grid.m
         self.pressure -= viscosity / MU * self.mu[:cells] * (self.divergence @ intermediate)
+        self.pressure -= self.pressure.mean()
         return velocity
 
     def stage(self, theta, guess, coupled):
