@@ -2,8 +2,10 @@
 from functools import cache
 
 import dense
+import h5py
 import numpy as np
 import pytest
+from runs import run
 from scipy.linalg import block_diag
 
 from petscib.coupling.kernels import KERNELS
@@ -472,3 +474,17 @@ def test_iterations_hardly_grow_with_the_stiffness(iteration):
             stepper.destroy()
         counts.append(largest)
     assert max(counts) <= most and max(counts) <= counts[0] + growth
+
+
+@pytest.mark.parametrize("sigma0", ["1e5", "1e9"])
+@pytest.mark.parametrize("method", ["cg", "fgmres"])
+def test_the_default_tolerance_is_as_good_for_stiff_membranes(tmp_path, sigma0, method):
+    """Where each step begins with a tension that is large and nearly all goes."""
+    found = []
+    for number, way in enumerate(({"fft": "yes"}, {"momentum_ksp_type": method})):
+        folder = tmp_path / str(number)
+        run(folder, scheme="mbe", sigma0=sigma0, stag_grid_x="32", ts_dt="0.06", ts_max_steps="6",
+            flow="shear", **way)
+        with h5py.File(folder / "final.h5") as file:
+            found.append(file["fluid/u"][...])
+    assert abs(found[0] - found[1]).max() < 1e-5 * np.ptp(found[0])

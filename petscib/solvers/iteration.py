@@ -95,11 +95,20 @@ class FluidIteration(Iteration):
         fluid.set_source(self._rhs)
         self._load_stresses()
         with krylov.tolerances(self.ksp, *self._tolerances(accuracy)):
-            iterations = krylov.solve(
-                self.ksp, self._load, self._solution, fluid.name, inner=self.direct)
+            iterations = self._solve()
+        if accuracy is None:
+            iterations += self._go_on()
         fluid.store(self._unknowns, stage.velocity, stage.pressure)
         self._store_stresses()
         return iterations
+
+    def _solve(self):
+        return krylov.solve(
+            self.ksp, self._load, self._solution, self.fluid.name, inner=self.direct)
+
+    def _go_on(self):
+        """Solve further, where the tolerance has been too coarse.  Returns the iterations."""
+        return 0
 
     def _tolerances(self, accuracy):
         """Relative and absolute tolerance in place of the options', or None.  Collective."""
