@@ -6,9 +6,9 @@ from petsc4py import PETSc
 from . import krylov
 
 # Cells that momentum may diffuse in theta dt for conjugate gradients with the stresses eliminated
-# to be the default.  Beyond, the block iteration is more than 1.5 times faster: at 11 cells (256^2,
-# dt = h) it takes 0.55 of the time, at 5.7 and 8 (64^2, 128^2) 1.06 to 1.3 (`make bench`).
-FARTHEST = 9.0
+# to be the default.  Beyond, the block iteration is more than 1.5 times faster: at 5.7, 8 and 11
+# cells (64^2, 128^2 and 256^2, dt = h, sigma0 = 1e9) 1.2, 1.6 and 2.8 times (`make bench`).
+FARTHEST = 7.0
 
 # The matrix changes with the time step only; the coarse grids made for another step may then be no
 # approximation any more, and even make an indefinite preconditioner.
