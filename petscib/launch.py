@@ -23,9 +23,8 @@ from contextlib import suppress
 from functools import lru_cache
 from threading import Lock, Thread
 
-from . import interrupt
 from .errors import InputError
-from .interrupt import heeded
+from .interrupt import heeded, say
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 # Names under which a machine with several MPIs has their launchers.
@@ -178,7 +177,7 @@ def main(arguments):
     def stop(kind, frame):
         asked.append(kind)  # first, as the next signal may come any time
         if asked == [signal.SIGINT]:
-            interrupt.say("petscib: told to end after this step; a second Ctrl-C ends it at once")
+            say("petscib: told to end after this step; a second Ctrl-C ends it at once")
         job.send_signal(signal.SIGTERM if len(asked) > 1 else signal.SIGUSR1)
 
     outlets = [_Outlet(stream.fileno()) for stream in (sys.stdout, sys.stderr)]

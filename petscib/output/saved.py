@@ -113,9 +113,8 @@ def read_fields(folder):
         )
 
 
-def outlines(folder):
+def outlines(folder, options):
     """The moments of `read_moments` as they are drawn: in the box, and each to its end."""
-    options = read_options(folder)
     return to_their_ends(in_the_box(read_moments(folder), options), options)
 
 

@@ -18,7 +18,8 @@ FRAMES_PER_SECOND = 15
 
 def plot_outlines(folder, output=None):
     """``outlines.png``: the vesicles at up to eight times, marker 0 as a star (paper, Fig. 2)."""
-    moments, options = saved.outlines(folder), saved.read_options(folder)
+    options = saved.read_options(folder)
+    moments = saved.outlines(folder, options)
     if not moments:
         return None
     times = np.array([time for time, _ in moments])
@@ -127,7 +128,8 @@ def animate(folder, output=None, mp4=False):
     """
     from matplotlib import animation
 
-    moments, options = saved.outlines(folder), saved.read_options(folder)
+    options = saved.read_options(folder)
+    moments = saved.outlines(folder, options)
     if not moments:
         return None
     if mp4 and not animation.FFMpegWriter.isAvailable():

@@ -42,8 +42,6 @@ class Explicit(ProjectionScheme):
         # X^{n+1} = X^n + dt (J u^{n+1} + K f^n)
         motion = None
         if operators is not None:
-            motion = operators.interpolate(velocity)
-        if problem.acted_on:
-            motion = motion + operators.slip_velocity(operators.force(stage.stress) + stage.load)
+            motion = operators.interpolate(velocity) + self.slip_velocity(stage, operators)
         return self.finish(
             state, dt, stage, operators, velocity, motion, projection=phi, iterations=iterations)

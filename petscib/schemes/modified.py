@@ -46,10 +46,7 @@ class Modified(ProjectionScheme):
             if self.theta < 1:
                 carrier = velocity.copy()
                 carrier.axpby(1 - self.theta, self.theta, state.velocity)
-            motion = operators.interpolate(carrier)
-            if problem.acted_on:
-                force = operators.force(stage.stress) + stage.load
-                motion = motion + operators.slip_velocity(force)
+            motion = operators.interpolate(carrier) + self.slip_velocity(stage, operators)
         return self.finish(
             state, dt, stage, operators, velocity, motion, **account,
             projection=phi, iterations=iterations,

@@ -112,6 +112,12 @@ class StageScheme:
             velocity = velocity + operators.slip_velocity(stage.load)
         return velocity
 
+    def slip_velocity(self, stage, operators):
+        """K f at the stage, all forces on the markers together; zero without the correction."""
+        if not self.problem.acted_on or operators.slip is None:
+            return 0.0
+        return operators.slip_velocity(operators.force(stage.stress) + stage.load)
+
     def account(self, state, dt, stage, operators, motion):
         """Fields of the Step that the energy law asks for.  Collective."""
         power = 0.0

@@ -25,8 +25,8 @@ With implicit advection A is not symmetric.  Where transforms invert the rest of
 around these solves; elsewhere advection is part of A, and FGMRES takes the place of conjugate
 gradients.
 
-The relative tolerance means the same in all: the power of the error, as the preconditioner tells
-it, relative to that of the right-hand side.
+The relative tolerance is that of the power of the error, as the preconditioner tells it: relative
+to that of the right-hand side, or in `elimination`, where this is no measure, of the velocity.
 """
 
 from dataclasses import dataclass
